@@ -9,7 +9,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.geometry.camera import pinhole
-from vergence.geometry.eye_motion import eye_linearised
+from vergence.geometry.eye_motion import eye_motion
 from vergence.geometry.head import HeadCalibration, MountedCamera
 from vergence.geometry.kinematics import (
     Kinematics,
@@ -122,10 +122,10 @@ def _off_centre(
     Both are zero for points that are not in front of it, which the last result (..., 1) says. The
     camera has _UNIT_LENS, and the points are in the base of its eye.
     """
-    T, _, by_reading = eye_linearised(kinematics, mounted.eye, readings)
+    eye = eye_motion(kinematics, mounted.eye, readings, errors=False)
     # The identity in place of T_rbase_lbase: the points are in this base already.
-    found = projected(mounted, np.eye(4), T, p, parameters=False)
+    found = projected(mounted, np.eye(4), eye.T_base_eye, p, parameters=False)
     error, by_pose = found.pixels, found.by_T_base_eye
     front = np.asarray(np.isfinite(error).all(axis=-1, keepdims=True))
-    J = np.where(front[..., None], by_pose @ by_reading, 0.0)
+    J = np.where(front[..., None], by_pose @ eye.by_readings(eye.by_moves), 0.0)
     return np.where(front, error, 0.0), J, front

@@ -8,9 +8,14 @@ these arithmetic takes a tenth of the time of arrays of one element.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from vergence.arrays import Array
+
+BLOCK = 512
+"""Matrices whose products stay in the cache of a core; chosen with benchmarks/located_points.py."""
 
 ignoring_invalid = np.errstate(invalid="ignore", divide="ignore", over="ignore")
 """As a decorator: NaN and infinity mark what is not seen, and need no warning."""
@@ -34,7 +39,7 @@ def rows_in_memory(array: Array, ndim: int = 1) -> Array:
 
 def vector(*parts: Array | float) -> Array:
     """Stack components (...) to vectors (..., n); they broadcast."""
-    if all(isinstance(part, float) for part in parts):  # so are numpy's scalars
+    if type(parts[0]) is not np.ndarray and type(parts[-1]) is not np.ndarray:
         return np.array(parts)
     stacked = np.empty((len(parts), *np.broadcast_shapes(*map(np.shape, parts))))
     for row, part in zip(stacked, parts, strict=True):
@@ -58,13 +63,25 @@ def product(a: Array, b: Array) -> Array:
     """Multiply matrices (..., n, k) and (..., k, m)."""
     if a.ndim == b.ndim == 2:
         return a @ b
-    return np.einsum("...ij,...jk->...ik", a, b)
+    if a.ndim == 2:
+        rows = batch_last(b, 2)
+        whole = a @ rows.reshape(len(rows), math.prod(rows.shape[1:]))
+        return batch_first(whole.reshape(len(a), *rows.shape[1:]), 2)
+    if b.ndim == 2:
+        rows = batch_last(a, 2)
+        whole = b.T @ rows.reshape(*rows.shape[:2], math.prod(rows.shape[2:]))
+        return batch_first(whole.reshape(len(rows), b.shape[1], *rows.shape[2:]), 2)
+    return _in_cache("...ij,...jk->...ik", a, b)
 
 
 def times(matrix: Array, v: Array) -> Array:
     """Multiply matrices (..., n, m) by vectors (..., m)."""
-    if matrix.ndim == 2 and v.ndim == 1:
-        return matrix @ v
+    if matrix.ndim == 2:
+        if v.ndim == 1:
+            return matrix @ v
+        rows = batch_last(v)
+        whole = matrix @ rows.reshape(len(rows), math.prod(rows.shape[1:]))
+        return batch_first(whole.reshape(len(matrix), *rows.shape[1:]))
     return np.einsum("...ij,...j->...i", matrix, v)
 
 
@@ -78,3 +95,15 @@ def dot(a: Array, b: Array) -> Array:
     if a.ndim == b.ndim == 1:
         return a @ b
     return np.einsum("...i,...i->...", a, b)
+
+
+def _in_cache(subscripts: str, a: Array, b: Array) -> Array:
+    """Sum products by einsum, of long batches block by block: in a third of the time."""
+    n = len(a)
+    if a.ndim != 3 or b.ndim != 3 or n != len(b) or n <= BLOCK:
+        return np.einsum(subscripts, a, b)
+    whole = batch_first(np.empty((a.shape[1], b.shape[2], n)), 2)
+    for start in range(0, n, BLOCK):
+        part = slice(start, start + BLOCK)
+        np.einsum(subscripts, a[part], b[part], out=whole[part])
+    return whole

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,7 +16,7 @@ from vergence.geometry.batches import (
     product,
     times,
 )
-from vergence.geometry.se3 import cross, hat
+from vergence.geometry.se3 import hat
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +68,7 @@ def joint_frames(chain: Chain, readings: Array) -> tuple[list[Array], list[Array
     for k, (basis, step) in enumerate(zip(chain.rodrigues, chain.steps_m, strict=True)):
         angle = chain.offset_rad[k] + sum(factor * parts[r] for r, factor in chain.moving[k])
         cosine, sine = np.cos(angle), np.sin(angle)
-        terms = np.array([cosine, sine, 1 - cosine]).reshape(3, -1)
+        terms = np.array([cosine, sine, 1 - cosine]).reshape(3, math.prod(batch))
         turn = batch_first((basis @ terms).reshape(3, 3, *batch), 2)
         R.append(product(R[-1], turn) if k else turn)
         t.append(t[-1] + times(R[-1], step) if step.any() else t[-1])
@@ -85,23 +86,3 @@ def pose_of(R: Array, t: Array, batch: tuple[int, ...]) -> Array:
     T = batch_first(np.zeros((4, 4, *batch)), 2)
     T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = R, t, 1.0
     return T
-
-
-def angle_twists(R: list[Array], t: list[Array], axes: Array) -> list[Array]:
-    """Compute increments (..., 6) of a chain's end by the angle of each joint.
-
-    Each joint turns the end about its axis; R and t are those of `joint_frames`.
-    """
-    found = []
-    for R_joint, origin, axis in zip(R, t, axes, strict=False):
-        along = times(R_joint, axis)
-        found.append(twist(along, t[-1] - origin))
-    return found
-
-
-def twist(turn: Array, arm: Array) -> Array:
-    """Compute the increment (..., 6) of a frame by a turn (..., 3); its origin is at an arm."""
-    shift = cross(turn, arm)
-    moved = batch_first(np.empty((6, *shift.shape[:-1])))
-    moved[..., :3], moved[..., 3:] = turn, shift
-    return moved

@@ -5,12 +5,14 @@ For one eye of any chain, and for both eyes of a head, whose poses may be measur
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence.arrays import Array
-from vergence.geometry.batches import batch_first, batch_last, rows_in_memory, times
-from vergence.geometry.chain import angle_twists, joint_frames, pose_of, twist
+from vergence.geometry.batches import batch_first, batch_last, product, rows_in_memory, times
+from vergence.geometry.chain import joint_frames, pose_of
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import (
     EYES,
@@ -20,40 +22,78 @@ from vergence.geometry.kinematics import (
     check_turns,
     checked_readings,
 )
-from vergence.geometry.se3 import check_rigid
-
-EyeMotion = tuple[Array, Array, Array]
-"""T_base_eye (..., 4, 4), and its increments (`se3.boxplus`) by the errors of the joints
-(..., 6, a), in the order of joint_parameters, and by the readings (..., 6, r)."""
+from vergence.geometry.se3 import check_rigid, cross
 
 
-def eye_linearised(kinematics: Kinematics, eye: Side, readings: ArrayLike) -> EyeMotion:
-    """Compute the pose of an eye and its derivatives at readings (..., r) [rad].
+@dataclass(frozen=True, eq=False)
+class EyeMotion:
+    """The pose of an eye in its base, and how it changes; in increments of `se3.boxplus`."""
 
-    VergenceError if they are not the head's r.
-    """
-    readings = checked_readings(kinematics, readings)
-    chain, batch = kinematics.chains[eye], readings.shape[:-1]
+    T_base_eye: Array
+    """(..., 4, 4)."""
+    by_moves: Array
+    """(..., 6, m) by the angles of the joints, then by those errors of the joints that move an
+    axis."""
+    mixing: Array
+    """(n, r): what turns the n angles, by the readings."""
+    errors: tuple[tuple[int, Array | float], ...]
+    """(a) in the order of joint_parameters: a column of by_moves, and its factor (...)."""
+
+    def by_readings(self, by_moves: Array) -> Array:
+        """Turn derivatives (..., k, m) by what moves the eye into those by readings (..., k, r)."""
+        return product(by_moves[..., : len(self.mixing)], self.mixing)
+
+    def by_errors(self, by_moves: Array) -> Array:
+        """Turn derivatives (..., k, m) into those by the errors of the joints (..., k, a)."""
+        rows = batch_last(by_moves, 2)
+        found = np.empty((len(rows), len(self.errors), *rows.shape[2:]))
+        for column, (move, factor) in enumerate(self.errors):
+            np.multiply(rows[:, move], factor, out=found[:, column])
+        return batch_first(found, 2)
+
+
+def eye_motion(
+    kinematics: Kinematics, eye: Side, readings: Array, *, errors: bool = True
+) -> EyeMotion:
+    """Compute how an eye stands at readings (..., r) [rad], and how that changes."""
+    chain, parts = kinematics.chains[eye], batch_last(readings)
     R, t = joint_frames(chain, readings)
-    by_angles, parts = angle_twists(R, t, chain.axes), batch_last(readings)
-    errors = kinematics.errors[eye]
-    by_errors = batch_first(np.zeros((6, len(errors), *batch)), 2)
-    by_readings = batch_first(np.zeros((6, readings.shape[-1], *batch)), 2)
-    for column, error in enumerate(errors):
-        k, into = error.joint, by_errors[..., column]
+    axes = [times(R_joint, axis) for R_joint, axis in zip(R, chain.axes, strict=False)]
+    moves, factors = [(axis, t[-1] - t[k]) for k, axis in enumerate(axes)], []
+    for error in kinematics.errors[eye] if errors else ():
+        k = error.joint
         if error.direction is None:  # of an angle
             slope = error.constant + sum(factor * parts[r] for r, factor in error.mixing)
-            into[...] = by_angles[k] * np.asarray(slope)[..., None]
-        elif error.tilts:
+            factors.append((k, slope))
+            continue
+        factors.append((len(moves), 1.0))
+        along = times(R[k], error.direction)
+        if error.tilts:
             # The axis is turned about the normal n: its turn R becomes exp(e n) R exp(-e n).
-            turn = times(R[k], error.direction) - times(R[k + 1], error.direction)
-            into[...] = twist(turn, t[-1] - t[k])
+            moves.append((along - times(R[k + 1], error.direction), t[-1] - t[k]))
         else:
-            into[..., 3:] = times(R[k], error.direction)
-    for k, moving in enumerate(chain.moving):
-        for r, factor in moving:
-            by_readings[..., r] += factor * by_angles[k]
-    return pose_of(R[-1], t[-1], batch), by_errors, by_readings
+            moves.append((None, along))
+    by_moves = np.zeros((6, len(moves), *readings.shape[:-1]))
+    for column, (turn, arm) in enumerate(moves):
+        into = batch_first(by_moves[:, column])
+        if turn is None:
+            into[..., 3:] = arm
+        else:
+            into[..., :3], into[..., 3:] = turn, cross(turn, arm)
+    T = pose_of(R[-1], t[-1], readings.shape[:-1])
+    return EyeMotion(T, batch_first(by_moves, 2), chain.mixing, tuple(factors))
+
+
+def eye_linearised(
+    kinematics: Kinematics, eye: Side, readings: ArrayLike
+) -> tuple[Array, Array, Array]:
+    """Compute T_base_eye (..., 4, 4) and its derivatives, in the increment of `se3.boxplus`.
+
+    By the errors of the joints (..., 6, a), in the order of joint_parameters, and by the readings
+    (..., 6, r). Readings are (..., r) [rad]; VergenceError if they are not the head's r.
+    """
+    found = eye_motion(kinematics, eye, checked_readings(kinematics, readings))
+    return found.T_base_eye, found.by_errors(found.by_moves), found.by_readings(found.by_moves)
 
 
 def measured(joints: ArrayLike) -> bool:
@@ -80,18 +120,25 @@ def eye_poses(head: HeadCalibration, joints: ArrayLike) -> Array:
     return batch_first(np.stack([batch_last(T, 2) for T in both]), 3)
 
 
-def eyes_linearised(head: HeadCalibration, joints: Array) -> tuple[EyeMotion, EyeMotion]:
-    """Compute the poses of the left and the right eye and their derivatives.
+def eye_motions(
+    head: HeadCalibration, joints: Array, *, errors: bool = True
+) -> tuple[EyeMotion, EyeMotion]:
+    """Compute how the left and the right eye stand, and how that changes.
 
     At angles (..., r) [rad], or measured poses (..., 2, 4, 4), whose 12 increments count as
-    readings and for which the joints have no errors.
+    readings and for which errors of the joints do nothing.
     """
     if not measured(joints):
-        left, right = (eye_linearised(head.kinematics, eye, joints) for eye in EYES)
+        left, right = (eye_motion(head.kinematics, eye, joints, errors=errors) for eye in EYES)
         return left, right
     poses, increments = eye_poses(head, joints), np.eye(12).reshape(2, 6, 12)
     left, right = (
-        (poses[..., k, :, :], np.zeros((6, len(head.kinematics.errors[eye]))), increments[k])
+        EyeMotion(
+            poses[..., k, :, :],
+            np.eye(6),
+            increments[k],
+            ((0, 0.0),) * len(head.kinematics.errors[eye]),
+        )
         for k, eye in enumerate(EYES)
     )
     return left, right

@@ -175,7 +175,6 @@ def _table(model: CameraModel, k: Coefficients) -> tuple[Array, Array]:
     return distort(model, rational, r, np.zeros_like(r))[0], r
 
 
-@ignoring_invalid
 def first_guess(model: CameraModel, k: Coefficients, x: Array, y: Array) -> tuple[Array, Array]:
     """Return undistorted coordinates of distorted x, y, near enough for Newton's method to start.
 

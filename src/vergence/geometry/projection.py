@@ -171,12 +171,7 @@ def by_parameters(J: ProjectionJacobians, by_axes: Array) -> Array:
     In the order of `parameters.camera_columns`; by_axes (M, 6, a) are those of T_base_eye by the
     errors of the eye's joints.
     """
-    return by_camera_columns(J, by_axes[:, None])
-
-
-def by_camera_columns(J: ProjectionJacobians, by_errors: Array) -> Array:
-    """Compute the same derivatives (..., 2, n + 12 + a), of by_errors (..., 6, a)."""
-    by_joints = product(J.by_T_base_eye, by_errors)
+    by_joints = rows_times(J.by_T_base_eye, by_axes)
     return joined(J.by_lens, J.by_T_eye_cam, J.by_T_rbase_lbase, by_joints)
 
 

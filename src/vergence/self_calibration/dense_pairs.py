@@ -14,7 +14,6 @@ from vergence.data.dataset import Dataset
 from vergence.data.stereo_rows import stereo_rows
 from vergence.errors import VergenceError
 from vergence.geometry.camera import unproject
-from vergence.geometry.components import stacked
 from vergence.geometry.eye_motion import eye_motions, measured
 from vergence.geometry.head import HeadCalibration, reading_stds
 from vergence.geometry.se3 import pose
@@ -178,8 +177,7 @@ def row_noise_rad(pair: RectifiedPair) -> float:
     along = pair.T_lbase_rect[:3, 0]
     axes = along, head.T_rbase_lbase[:3, :3] @ along
     by_readings = np.zeros(len(factors))
-    for sign, axis, eye in zip((1, -1), axes, eye_motions(head, pair.joints[None]), strict=True):
-        for joint, reading, slope in eye.angle_by_readings:
-            turn = stacked(eye.by_angles[joint][:3], (1,))[:, 0]
-            by_readings[reading] += sign * slope * float(axis @ turn)
+    eyes = eye_motions(head, pair.joints, errors=False)
+    for sign, axis, eye in zip((1, -1), axes, eyes, strict=True):
+        by_readings += sign * axis @ eye.by_readings(eye.by_moves)[:3]
     return float(np.linalg.norm(by_readings * stds))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.geometry.batches import batch_first, batch_last, product
+from vergence.geometry.batches import BLOCK, batch_first, batch_last, product
 from vergence.geometry.head import HeadCalibration, stated_covariance, states_covariance
 from vergence.stereo.extrinsics import per_pair
 from vergence.stereo.linearised import Linearised, pair_columns, pair_parameters
@@ -50,17 +50,20 @@ def covariance_of_calibration(seen: Linearised, known: PairCovariance) -> Array:
 
     By way of the covariance of the four pixel coordinates, which takes half the time.
     """
-    batch = seen.status.shape
+    batch, n = seen.status.shape, seen.status.size
     left, right = (
-        batch_last(pixels, 2).reshape(2, pixels.shape[-1], -1)[:, own]
-        for pixels, own in zip(seen.pixels_by_head, known.own, strict=True)
+        batch_last(pixels, 2).reshape(2, pixels.shape[-1], n) for pixels in seen.pixels_by_head
     )
-    by_left, by_right = known.by_left @ left, known.by_right @ right
-    split = left.shape[1]
-    pixels = np.empty((4, 4, left.shape[2]))
-    pixels[:2, :2] = np.einsum("ipn,jpn->ijn", left, by_left[:, :split])
-    pixels[2:, 2:] = np.einsum("ipn,jpn->ijn", right, by_right)
-    pixels[:2, 2:] = np.einsum("ipn,jpn->ijn", by_left[:, split:], right)
+    own_left, own_right = known.own
+    split = len(own_left)
+    pixels = np.empty((4, 4, n))
+    for start in range(0, n, BLOCK):
+        part = slice(start, start + BLOCK)
+        one, other, into = left[:, own_left, part], right[:, own_right, part], pixels[..., part]
+        by_left, by_right = known.by_left @ one, known.by_right @ other
+        np.einsum("ipn,jpn->ijn", one, by_left[:, :split], out=into[:2, :2])
+        np.einsum("ipn,jpn->ijn", by_left[:, split:], other, out=into[:2, 2:])
+        np.einsum("ipn,jpn->ijn", other, by_right, out=into[2:, 2:])
     pixels[2:, :2] = pixels[:2, 2:].swapaxes(0, 1)
     whole = batch_first(pixels.reshape(4, 4, *batch), 2)
     return product(product(seen.by_pixels, whole), seen.by_pixels.swapaxes(-1, -2))

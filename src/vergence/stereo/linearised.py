@@ -16,15 +16,16 @@ from vergence.geometry.batches import (
     batch_last,
     dot,
     ignoring_invalid,
+    joined,
     product,
     times,
     times_transposed,
     vector,
 )
-from vergence.geometry.eye_motion import eyes_linearised
+from vergence.geometry.eye_motion import eye_motions
 from vergence.geometry.head import HeadCalibration, pair_names
 from vergence.geometry.parameters import camera_columns, parameter_names
-from vergence.geometry.projection import by_camera_columns, projected
+from vergence.geometry.projection import projected
 from vergence.geometry.se3 import cross
 from vergence.stereo.extrinsics import per_pair, stereo_cameras
 from vergence.stereo.measurement_noise import noise_of_part, pixel_variances
@@ -143,22 +144,25 @@ def linearised_part(
     """
     pixels, joints = (pixels[0][part], pixels[1][part]), joints_of_part(joints, part)
     variances = noise_of_part(variances, part)
-    pair, eyes = stereo_cameras(head, cameras), eyes_linearised(head, joints)
-    poses = [T for T, _, _ in eyes]
+    pair, eyes = stereo_cameras(head, cameras), eye_motions(head, joints, errors=parameters)
+    poses = [eye.T_base_eye for eye in eyes]
     points, status = intersect_rays(pair, head.T_rbase_lbase, poses, pixels, variances)
     seen = [
         projected(mounted, head.T_rbase_lbase, T, points, parameters=parameters)
         for mounted, T in zip(pair, poses, strict=True)
     ]
     by_pixels = _by_pixels(seen[0].by_point, seen[1].by_point, variances)
-    by_readings, pixels_by_head = 0.0, []
-    for k, ((_, by_errors, by_reading), J) in enumerate(zip(eyes, seen, strict=True)):
+    by_readings, pixels_by_head = [], []
+    for k, (eye, J) in enumerate(zip(eyes, seen, strict=True)):
+        by_moves = product(J.by_T_base_eye, eye.by_moves)
         # The point makes up for what changes, so that its projection stays where it was seen.
-        pixels_by_reading = product(J.by_T_base_eye, by_reading)
-        by_readings -= product(by_pixels[..., 2 * k : 2 * k + 2], pixels_by_reading)
+        moves = product(by_pixels[..., 2 * k : 2 * k + 2], by_moves[..., : len(eye.mixing)])
+        by_readings.append(eye.by_readings(moves))
         if parameters:
-            pixels_by_head.append(by_camera_columns(J, by_errors))
-    return Linearised(points, status, by_pixels, by_readings, tuple(pixels_by_head))
+            parts = J.by_lens, J.by_T_eye_cam, J.by_T_rbase_lbase, eye.by_errors(by_moves)
+            pixels_by_head.append(joined(*parts))
+    left, right = by_readings
+    return Linearised(points, status, by_pixels, -(left + right), tuple(pixels_by_head))
 
 
 def _by_pixels(left: Array, right: Array, variances: Array) -> Array:
