@@ -32,19 +32,8 @@ _SHAPE_STD = 0.005
 
 
 @dataclass(frozen=True, eq=False)
-class _Template:
-    """A picture of one size, in full and reduced for the search."""
-
-    full: np.ndarray
-    """(h, w) uint8."""
-    reduced: np.ndarray
-    """(h, w) uint8, smaller by 2^octaves."""
-    octaves: int
-
-
-@dataclass(frozen=True, eq=False)
 class _Match:
-    """The best place of an image for a template of one size."""
+    """The best place of an image for a template."""
 
     score: float
     """Correlation, at most 1."""
@@ -123,17 +112,11 @@ def _checked(picture: np.ndarray) -> np.ndarray:
     return grey
 
 
-def _templates(grey: np.ndarray, scales: Sequence[float]) -> list[_Template]:
+def _templates(grey: np.ndarray, scales: Sequence[float]) -> list[np.ndarray]:
     """Resize a picture (h, w) to several scales; VergenceError if all are too small or too flat."""
-    templates = []
-    for scale in scales:
-        size = [round(scale * side) for side in grey.shape[::-1]]
-        if scale > 0 and min(size) >= LEAST_SIDE_PX:
-            full = _resized(grey, size)
-            octaves = int(np.log2(min(size) / LEAST_SIDE_PX))
-            reduced = _resized(full, [round(side / 2**octaves) for side in size])
-            if reduced.std() >= LEAST_CONTRAST:
-                templates.append(_Template(full, reduced, octaves))
+    sizes = [[round(scale * side) for side in grey.shape[::-1]] for scale in scales]
+    resized = [_resized(grey, size) for size in sizes if min(size) >= LEAST_SIDE_PX]
+    templates = [each for each in resized if _reduced(each, _octaves(each)).std() >= LEAST_CONTRAST]
     if not templates:
         raise VergenceError(
             f"At none of the scales ({', '.join(f'{scale:g}' for scale in scales)}) a template of "
@@ -143,6 +126,15 @@ def _templates(grey: np.ndarray, scales: Sequence[float]) -> list[_Template]:
     return templates
 
 
+def _octaves(template: np.ndarray) -> int:
+    """Return by how many powers of two a template is reduced for the search."""
+    return int(np.log2(min(template.shape) / LEAST_SIDE_PX))
+
+
+def _reduced(image: np.ndarray, octaves: int) -> np.ndarray:
+    return _resized(image, [max(round(side / 2**octaves), 1) for side in image.shape[::-1]])
+
+
 def _resized(image: np.ndarray, size: Sequence[int]) -> np.ndarray:
     smaller = size[0] < image.shape[1]
     return cv2.resize(
@@ -150,28 +142,21 @@ def _resized(image: np.ndarray, size: Sequence[int]) -> np.ndarray:
     )
 
 
-def _best(image: np.ndarray, templates: Sequence[_Template]) -> _Match | None:
+def _best(image: np.ndarray, templates: Sequence[np.ndarray]) -> _Match | None:
     """Find the best match in an image (H, W) over the templates, coarse to fine; None: none fits.
 
     The search is in an image reduced so far that the template's sides keep eight pixels.
     """
-    reduced = [image]
-    for _ in range(max(template.octaves for template in templates)):
-        height, width = reduced[-1].shape
-        if min(height, width) < 2:
-            break
-        even = reduced[-1][: height & ~1, : width & ~1]
-        reduced.append(_resized(even, [width // 2, height // 2]))
-    matches: list[_Match] = []
+    reduced = {octaves: _reduced(image, octaves) for octaves in set(map(_octaves, templates))}
+    matches = []
     for template in templates:
-        if template.octaves >= len(reduced):
-            continue
-        coarse = _match(reduced[template.octaves], template.reduced)
+        octaves = _octaves(template)
+        coarse = _match(reduced[octaves], _reduced(template, octaves))
         if coarse is not None:
-            step = 2**template.octaves
-            fine = _match_near(image, template.full, step * coarse.corner, step + 1)
-            matches += [] if fine is None else [fine]
-    return max(matches, key=lambda match: match.score, default=None)
+            step = 2**octaves
+            matches.append(_match_near(image, template, step * coarse.corner, step + 1))
+    found = [match for match in matches if match is not None]
+    return max(found, key=lambda match: match.score, default=None)
 
 
 def _refine_size(image: np.ndarray, picture: np.ndarray, match: _Match) -> _Match:
