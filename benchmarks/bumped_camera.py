@@ -27,10 +27,10 @@ from vergence.accuracy.motions import eye_angles
 from vergence.geometry.camera import normalise, project
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_named
-from vergence.self_calibration.frame import from_matches, self_calibrate_frame
-from vergence.self_calibration.learning import learn
-from vergence.self_calibration.state import initial_self_calibration
-from vergence.self_calibration.update import drifted
+from vergence.self_calibration.filter import update
+from vergence.self_calibration.frame import estimate_frame, estimate_from_matches
+from vergence.self_calibration.kalman import predict
+from vergence.self_calibration.prior import initial_state
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import paper_calibration
 from vergence.twin.head import Twin
@@ -47,7 +47,7 @@ MOMENTS = 28, 53
 def run(seed: int, rate_hz: float, *, bump: bool, drift_deg_min: float = 0.0):
     """Return errors of the cameras' relative turn (N,) [deg], reported frames, and the bump's."""
     rng = np.random.default_rng(seed)
-    state = replace(initial_self_calibration(nominal_head("2.8mm")), match_scale=1.0)
+    state = replace(initial_state(nominal_head("2.8mm")), match_scale=1.0)
     truth, points = drawn_head(state, rng), room(POINTS, rng)
     frames = round(DURATION_S * rate_hz)
     axis = rng.normal(size=3)
@@ -61,10 +61,10 @@ def run(seed: int, rate_hz: float, *, bump: bool, drift_deg_min: float = 0.0):
         truth = change_named(truth, ["left_wide.T_eye_cam.rz"], np.array([step]))
         readings = angles + rng.normal(0, np.radians(JOINT_DEG), 4)
         seen = matches(truth, angles, points, noise_px=NOISE_PX, rng=rng)
-        found = from_matches(state, seen, readings)
-        state = drifted(learn(state, found), 1 / rate_hz)
+        found = estimate_from_matches(state, seen, readings)
+        state = predict(update(state, found), 1 / rate_hz)
         errors.append(turn_error_deg(found.head, found.joints, truth, angles))
-        reported += [k] * state.bumped
+        reported += [k] * (state.change == "camera turned")
         if bump and k >= moment + 20:
             break
     return np.array(errors), reported, moment
@@ -88,7 +88,7 @@ def rendered_bumps(seed: int) -> None:
         with Twin(profile, seed=seed, lens=lens) as twin:
             found = paper_calibration(twin, seed)
             head = inject_calibration_error(found.head, profile.by_hand, lens)
-            first = initial_self_calibration(head, changed="nothing")
+            first = initial_state(head, changed="nothing")
             pair = first.cameras
             frames = [
                 (f, twin.true_angles()[3:])
@@ -104,10 +104,10 @@ def rendered_bumps(seed: int) -> None:
                 images = [frame.images[each] for each in pair]
                 if n >= moment:
                     images[k] = turned(images[k], twin.truth, bumped, name)
-                seen = self_calibrate_frame(state, images[0], images[1], frame.eye_angles)
-                state = drifted(learn(state, seen), LOOK_STEP_S if n else 0.0)
+                seen = estimate_frame(state, images[0], images[1], frame.eye_angles)
+                state = predict(update(state, seen), LOOK_STEP_S if n else 0.0)
                 errors.append(turn_error_deg(seen.head, seen.joints, truth, angles, pair))
-                reported += [n - moment] * state.bumped
+                reported += [n - moment] * (state.change == "camera turned")
             worst = max(errors[moment + 10 :])
             in_time = bool(reported) and 0 <= reported[0] < 3
             results.append((moment, in_time, worst < 0.1))

@@ -42,14 +42,11 @@ from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_named
 from vergence.paper.comparison import before_looking
 from vergence.paper.figures import FIGURES, default_duration_s
-from vergence.self_calibration.frame import from_matches, locate_seen, self_calibrate_frame
-from vergence.self_calibration.learning import learn
-from vergence.self_calibration.state import (
-    FrameEstimate,
-    SelfCalibration,
-    initial_self_calibration,
-)
-from vergence.self_calibration.update import drifted
+from vergence.self_calibration.filter import update
+from vergence.self_calibration.frame import estimate_frame, estimate_from_matches, locate_in_frame
+from vergence.self_calibration.kalman import predict
+from vergence.self_calibration.prior import initial_state
+from vergence.self_calibration.state import FilterState, FrameEstimate
 from vergence.stereo.extrinsics import T_rcam_lcam
 from vergence.stereo.triangulation import triangulate_at
 from vergence.twin.calibration_errors import inject_calibration_error
@@ -63,14 +60,14 @@ from vergence.vision.sphere import STD_PX, find_sphere
 APART_S = 0.005
 
 
-def mismatched(state: SelfCalibration, sample: Sample) -> FrameEstimate:
+def mismatched(state: FilterState, sample: Sample) -> FrameEstimate:
     """Estimate from matches of which seven in ten are wrong."""
-    good = self_calibrate_frame(state, *sample.images, sample.joints).matches
+    good = estimate_frame(state, *sample.images, sample.joints).matches
     rng = np.random.default_rng(len(good.left))
     wrong = rng.random(len(good.left)) < 0.7
     right = good.right.copy()
     right[wrong] += rng.uniform(-20, 20, (int(wrong.sum()), 2))
-    return from_matches(state, replace(good, right=right), sample.joints)
+    return estimate_from_matches(state, replace(good, right=right), sample.joints)
 
 
 def taken(twin: Twin, head: HeadCalibration, truth: HeadCalibration, figure: int, samples: int):
@@ -118,7 +115,7 @@ def turn_distance(seen: FrameEstimate, T_true: Array) -> float:
 
 
 def compare(
-    samples: list[Sample], state: SelfCalibration, learned: SelfCalibration, change, step_s: float
+    samples: list[Sample], state: FilterState, learned: FilterState, change, step_s: float
 ) -> tuple[float, float, float, float]:
     """Return depth spreads over the joints' (single, learned), share seen, and the distance."""
     depths, distances, seen_share = {"joints": [], "single": [], "learned": []}, [], []
@@ -132,14 +129,14 @@ def compare(
             if change is mismatched:
                 seen = mismatched(now, sample)
             else:
-                seen = self_calibrate_frame(now, *change(sample), sample.joints)
-            at = locate_seen(seen, left=left, right=right, pixel_std_px=STD_PX)
+                seen = estimate_frame(now, *change(sample), sample.joints)
+            at = locate_in_frame(seen, left=left, right=right, pixel_std_px=STD_PX)
             depths[name].append(at.xyz[0, 0])
             if name == "single":
                 distances.append(turn_distance(seen, sample.T_rcam_lcam))
                 seen_share.append(seen.status == "seen")
             else:
-                learned = drifted(learn(now, seen), step_s)
+                learned = predict(update(now, seen), step_s)
     joints, single, after = (float(np.nanstd(each, ddof=1)) for each in depths.values())
     return single / joints, after / joints, float(np.mean(seen_share)), float(np.mean(distances))
 
@@ -149,7 +146,7 @@ def report(
     truth: HeadCalibration,
     figure: int,
     samples: list[Sample],
-    learned: SelfCalibration,
+    learned: FilterState,
     chosen: tuple[str, ...],
 ) -> None:
     """Print a line for each of the chosen ways in which images are bad; none chosen: for all."""
@@ -172,7 +169,7 @@ def report(
     for name in chosen or ways:
         change = ways[name]
         single, after, share, distance = compare(
-            samples, initial_self_calibration(head, changed="nothing"), learned, change, step_s
+            samples, initial_state(head, changed="nothing"), learned, change, step_s
         )
         worse = " WORSE" if max(single, after) > 1.05 else ""
         print(
@@ -204,7 +201,7 @@ def main(
         with Twin(profile, seed=seed, lens=lens) as twin:
             found = paper_calibration(twin, seed)
             head = inject_calibration_error(found.head, profile.by_hand, lens)
-            learned = learn_by_looking(twin, before_looking(head), run=100).known
+            learned = learn_by_looking(twin, before_looking(head), run=100).state
             print(f"{lens}: {LOOK_S:.0f} s of good images seen")
             truth = with_sensors(twin.truth, twin.profile.joints)
             for figure in numbers:

@@ -19,10 +19,10 @@ import tyro
 
 from simulated_matches import drawn_head, matches, room, squared_distance, turn_error_deg
 from vergence.accuracy.motions import PERIOD_S, eye_angles
-from vergence.self_calibration.frame import from_matches
-from vergence.self_calibration.learning import learn
-from vergence.self_calibration.state import initial_self_calibration
-from vergence.self_calibration.update import drifted
+from vergence.self_calibration.filter import update
+from vergence.self_calibration.frame import estimate_from_matches
+from vergence.self_calibration.kalman import predict
+from vergence.self_calibration.prior import initial_state
 from vergence.twin.looking_around import FASTER, LOOK_STEP_S, look_times
 from vergence.twin.model import nominal_head
 
@@ -35,7 +35,7 @@ LATE_MS = (0.0, 0.0), (5.0, 0.0), (15.0, 0.0), (0.0, 5.0), (0.0, 20.0)
 def learned(seed: int, speed: float, late_s: float, old_s: float) -> tuple[float, float]:
     """Return the error [deg], rms, and the squared Mahalanobis distance by parameter."""
     rng = np.random.default_rng(seed)
-    first = initial_self_calibration(nominal_head("2.8mm"), changed="nothing")
+    first = initial_state(nominal_head("2.8mm"), changed="nothing")
     state = replace(first, match_scale=1.0)
     truth, points = drawn_head(state, rng), room(POINTS, rng)
     for time_s in look_times():
@@ -44,7 +44,7 @@ def learned(seed: int, speed: float, late_s: float, old_s: float) -> tuple[float
         seen_at = np.concatenate([angles[:2], later[2:]])
         found = matches(truth, seen_at, points, noise_px=NOISE_PX, rng=rng)
         readings = before + rng.normal(0, np.radians(JOINT_DEG), 4)
-        state = drifted(learn(state, from_matches(state, found, readings)), LOOK_STEP_S)
+        state = predict(update(state, estimate_from_matches(state, found, readings)), LOOK_STEP_S)
     postures = eye_angles("divergent", rng.uniform(0, PERIOD_S["divergent"], POSTURES))
     errors = [turn_error_deg(state.head, each, truth, each) for each in postures]
     distance = squared_distance(state, truth) / len(state.names)

@@ -27,7 +27,7 @@ from vergence.cli import depth
 from vergence.demos.depth import STEP_S
 from vergence.demos.experiment import LOOKING
 from vergence.geometry.head import HeadCalibration
-from vergence.self_calibration.sequence import initial_seen_geometry, update_geometry
+from vergence.self_calibration.calibrator import initial_visual_geometry, update_geometry
 from vergence.stereo.rectification import rectified_image, rectify
 from vergence.twin.calibration_sequence import straight_neck
 from vergence.twin.head import Twin
@@ -71,7 +71,7 @@ def main(
     times: list[float] = []
     with Twin(load_profile(profile), seed=seed, scene=scene) as twin:
         head = calibrate_twin(twin, seed).calibration
-        geometry = learn_by_looking(twin, initial_seen_geometry(head), run=LOOKING)
+        geometry = learn_by_looking(twin, initial_visual_geometry(head), run=LOOKING)
         twin.restart(1)
         for k in range(pairs):
             posture = straight_neck(eye_angles("divergent", np.array(STEP_S * k)))

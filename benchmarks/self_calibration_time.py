@@ -19,10 +19,10 @@ import numpy as np
 import tyro
 
 from vergence.accuracy.motions import eye_angles
-from vergence.self_calibration.frame import from_matches
-from vergence.self_calibration.learning import learn
-from vergence.self_calibration.state import initial_self_calibration
-from vergence.self_calibration.update import drifted
+from vergence.self_calibration.filter import update
+from vergence.self_calibration.frame import estimate_from_matches
+from vergence.self_calibration.kalman import predict
+from vergence.self_calibration.prior import initial_state
 from vergence.stereo.extrinsics import T_rcam_lcam
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import paper_calibration, straight_neck
@@ -54,7 +54,7 @@ def main(pairs: int = 40, scene: Scene = "room", seed: int = 0) -> None:
     profile, lens = load_profile("paper"), "2.8mm"
     with Twin(profile, seed=seed, lens=lens, scene=scene) as twin:
         head = paper_calibration(twin, seed).head
-        state = initial_self_calibration(inject_calibration_error(head, profile.by_hand, lens))
+        state = initial_state(inject_calibration_error(head, profile.by_hand, lens))
         twin.restart(0)
         cameras = [state.head.camera(name).intrinsics for name in state.cameras]
         for k in range(pairs):
@@ -76,11 +76,11 @@ def main(pairs: int = 40, scene: Scene = "room", seed: int = 0) -> None:
             now, joints = state, frame.eye_angles
             seen = timed(
                 "estimate",
-                lambda now=now, found=found, j=joints, both=(images[0], images[1]): from_matches(
-                    now, found, j, images=both
+                lambda now=now, found=found, j=joints, both=(images[0], images[1]): (
+                    estimate_from_matches(now, found, j, images=both)
                 ),
             )
-            state = timed("learning", lambda now=now, seen=seen: drifted(learn(now, seen), STEP_S))
+            state = timed("learning", lambda now=now, seen=seen: predict(update(now, seen), STEP_S))
             before, after = now.keyframe, state.keyframe
             if before is not None and after is not None and after.images is not before.images:
                 spent.setdefault("tracking", []).append(spent["learning"].pop())

@@ -13,7 +13,7 @@ from vergence.geometry.lens import reach
 from vergence.geometry.parameters import boxminus, change_named
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
-from vergence.self_calibration.state import Keyframe, SelfCalibration, TrackedFeatures
+from vergence.self_calibration.state import FilterState, Keyframe, TrackedFeatures
 from vergence.stereo.extrinsics import T_rcam_lcam, camera_poses
 from vergence.vision.matching.scene_features import Matches
 
@@ -61,7 +61,7 @@ def matches(
     return Matches(left, right, covariance)
 
 
-def drawn_head(state: SelfCalibration, rng: np.random.Generator) -> HeadCalibration:
+def drawn_head(state: FilterState, rng: np.random.Generator) -> HeadCalibration:
     """Return a true head, drawn from what a state believes.
 
     By the symmetric root of the covariance: other roots hang on the signs of eigenvectors, which
@@ -88,7 +88,7 @@ def turn_error_deg(
     return float(np.degrees(np.linalg.norm(se3.boxminus(T, T_true)[:3])))
 
 
-def squared_distance(state: SelfCalibration, truth: HeadCalibration) -> float:
+def squared_distance(state: FilterState, truth: HeadCalibration) -> float:
     """Return the squared Mahalanobis distance of what was learned from the true head."""
     difference = boxminus(truth, state.head)
     wrong = np.array([difference[name] for name in state.names])

@@ -26,8 +26,9 @@ from vergence.accuracy.motions import eye_angles
 from vergence.calibration.calibrate import calibrate
 from vergence.data.reader import load_dataset
 from vergence.geometry.head import HeadCalibration
-from vergence.self_calibration.frame import from_matches, self_calibrate_frame
-from vergence.self_calibration.state import SelfCalibration, initial_self_calibration
+from vergence.self_calibration.frame import estimate_frame, estimate_from_matches
+from vergence.self_calibration.prior import initial_state
+from vergence.self_calibration.state import FilterState
 from vergence.stereo.extrinsics import T_rcam_lcam
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import paper_calibration, straight_neck
@@ -55,15 +56,15 @@ def less_certain(head: HeadCalibration, factor: float) -> HeadCalibration:
     return replace(head, accuracy=replace(head.accuracy, lenses=lenses))
 
 
-def by_bundle_adjustment(seed: int, lens: Lens) -> list[SelfCalibration]:
+def by_bundle_adjustment(seed: int, lens: Lens) -> list[FilterState]:
     """Return what is known of a head right after its calibration, and some time later."""
     with tempfile.TemporaryDirectory() as folder:
         record(Path(folder), profile=load_profile("paper"), seed=seed, lens=lens)
         head = calibrate(load_dataset(Path(folder))).head
-    return [initial_self_calibration(head, changed="nothing"), initial_self_calibration(head)]
+    return [initial_state(head, changed="nothing"), initial_state(head)]
 
 
-def distances(twin: Twin, states: list[SelfCalibration]) -> np.ndarray:
+def distances(twin: Twin, states: list[FilterState]) -> np.ndarray:
     """Return the mean distances (n,) of single frames by what is known before them."""
     cameras, found, time_s = states[0].cameras, [], 0.0
     twin.restart(0)
@@ -75,8 +76,8 @@ def distances(twin: Twin, states: list[SelfCalibration]) -> np.ndarray:
             frame = twin.capture(cameras)
             T_true = T_rcam_lcam(twin.truth, twin.true_angles()[3:], cameras=cameras)
             left, right = (frame.images[name] for name in cameras)
-            matches = self_calibrate_frame(states[0], left, right, frame.eye_angles).matches
-            seen = [from_matches(state, matches, frame.eye_angles) for state in states]
+            matches = estimate_frame(states[0], left, right, frame.eye_angles).matches
+            seen = [estimate_from_matches(state, matches, frame.eye_angles) for state in states]
             found.append([turn_distance(each, T_true) for each in seen])
     return np.mean(found, axis=0)
 
@@ -104,7 +105,7 @@ def main(
                 calibrated = paper_calibration(twin, seed).head
                 head = inject_calibration_error(calibrated, profile.by_hand, lens)
                 priors = [less_certain(head, each) for each in factors]
-                states = [initial_self_calibration(each, changed="nothing") for each in priors]
+                states = [initial_state(each, changed="nothing") for each in priors]
             else:
                 states = by_bundle_adjustment(seed, lens)
             found.append(distances(twin, states))

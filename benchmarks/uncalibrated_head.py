@@ -19,15 +19,11 @@ import tyro
 from simulated_matches import drawn_head, matches, room, squared_distance, turn_error_deg
 from vergence.accuracy.motions import eye_angles
 from vergence.geometry.head import HeadCalibration
-from vergence.self_calibration.frame import from_matches, self_calibrate_frame
-from vergence.self_calibration.learning import learn
-from vergence.self_calibration.state import (
-    FrameEstimate,
-    SelfCalibration,
-    initial_self_calibration,
-)
-from vergence.self_calibration.tolerances import UNCALIBRATED, tolerance_covariance
-from vergence.self_calibration.update import drifted
+from vergence.self_calibration.filter import update
+from vergence.self_calibration.frame import estimate_frame, estimate_from_matches
+from vergence.self_calibration.kalman import predict
+from vergence.self_calibration.prior import UNCALIBRATED, initial_state, tolerance_covariance
+from vergence.self_calibration.state import FilterState, FrameEstimate
 from vergence.twin.head import Twin
 from vergence.twin.looking_around import LOOK_STEP_S, look_around
 from vergence.twin.model import nominal_head
@@ -37,7 +33,7 @@ NOISE_PX, JOINT_DEG, POINTS, PAIRS = 0.08, 0.15, 500, 100
 LENS = "2.8mm"
 SHOWN = 0, 3, 5, 10, 20, 50, 99
 """Pairs of which errors are printed."""
-Step = tuple[FrameEstimate, SelfCalibration, float]
+Step = tuple[FrameEstimate, FilterState, float]
 """A pair, the state after it, and how wrong the cameras' relative turn is by the pair [deg]."""
 
 
@@ -45,15 +41,15 @@ def simulated(seed: int, pairs: int = PAIRS) -> tuple[list[Step], HeadCalibratio
     """Return what became of a drawn head, and this head."""
     rng = np.random.default_rng(seed)
     head = nominal_head(LENS)
-    state = replace(initial_self_calibration(head), match_scale=1.0)
+    state = replace(initial_state(head), match_scale=1.0)
     drawing = replace(state, covariance=tolerance_covariance(head, state.names, UNCALIBRATED))
     truth, points = drawn_head(drawing, rng), room(POINTS, rng)
     steps = []
     for angles in eye_angles("divergent", LOOK_STEP_S * np.arange(float(pairs))):
         found = matches(truth, angles, points, noise_px=NOISE_PX, rng=rng)
         readings = angles + rng.normal(0, np.radians(JOINT_DEG), 4)
-        seen = from_matches(state, found, readings)
-        state = drifted(learn(state, seen), LOOK_STEP_S)
+        seen = estimate_from_matches(state, found, readings)
+        state = predict(update(state, seen), LOOK_STEP_S)
         steps.append((seen, state, turn_error_deg(seen.head, seen.joints, truth, angles)))
     return steps, truth
 
@@ -61,12 +57,12 @@ def simulated(seed: int, pairs: int = PAIRS) -> tuple[list[Step], HeadCalibratio
 def rendered(seed: int, profile: str) -> Iterator[Step]:
     """Yield what became of the twin's drawing."""
     with Twin(load_profile(profile), seed=seed, lens=LENS) as twin:
-        state = initial_self_calibration(twin.nominal)
+        state = initial_state(twin.nominal)
         for run in (0, 1):
             for frame in look_around(twin, state.cameras, run=run):
                 left, right = (frame.images[name] for name in state.cameras)
-                seen = self_calibrate_frame(state, left, right, frame.eye_angles)
-                state = drifted(learn(state, seen), LOOK_STEP_S)
+                seen = estimate_frame(state, left, right, frame.eye_angles)
+                state = predict(update(state, seen), LOOK_STEP_S)
                 angles = twin.true_angles()[3:]
                 yield seen, state, turn_error_deg(seen.head, seen.joints, twin.truth, angles)
 
@@ -82,8 +78,10 @@ def main(heads: int = 20, rendered_images: bool = False, profile: str = "paper")
     worst, distances, names = [], [], []
     for seed in range(heads):
         steps, truth = (list(rendered(seed, profile)), None) if rendered_images else simulated(seed)
-        reported = [k for k, (_, state, _) in enumerate(steps) if state.uncalibrated]
-        bumped = [k for k, (_, state, _) in enumerate(steps) if state.bumped]
+        reported = [
+            k for k, (_, state, _) in enumerate(steps) if state.change == "head uncalibrated"
+        ]
+        bumped = [k for k, (_, state, _) in enumerate(steps) if state.change == "camera turned"]
         errors = [error for _, _, error in steps]
         worst.append(errors)
         print(

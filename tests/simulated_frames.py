@@ -6,7 +6,8 @@ import numpy as np
 
 from simulated_head import random_head
 from vergence.geometry.head import HeadCalibration
-from vergence.self_calibration.state import SelfCalibration, initial_self_calibration
+from vergence.self_calibration.prior import initial_state
+from vergence.self_calibration.state import FilterState
 
 CAMERAS = ("left_wide", "right_wide")
 NOISE_PX = 0.08
@@ -17,9 +18,9 @@ def head_of(seed: int) -> HeadCalibration:
     return random_head(np.random.default_rng(seed), lenses=("wide",))
 
 
-def begin(head: HeadCalibration) -> SelfCalibration:
+def begin(head: HeadCalibration) -> FilterState:
     """Return a state that is told the noise of simulated matches, but not that of the readings."""
-    return replace(initial_self_calibration(head), match_scale=1.0)
+    return replace(initial_state(head), match_scale=1.0)
 
 
 def postures(frames: int, rng: np.random.Generator) -> np.ndarray:

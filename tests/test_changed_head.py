@@ -19,11 +19,11 @@ from uncalibrated_head import simulated
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_between, change_named
-from vergence.self_calibration.frame import from_matches
-from vergence.self_calibration.learning import learn
-from vergence.self_calibration.state import Origin, SelfCalibration
-from vergence.self_calibration.tolerances import DRIFT, UNCALIBRATED, tolerance_covariance
-from vergence.self_calibration.update import change_exceeds_prior, drifted, evidence_about
+from vergence.self_calibration.filter import update
+from vergence.self_calibration.frame import estimate_from_matches
+from vergence.self_calibration.kalman import contradicts_prior, evidence_about, predict
+from vergence.self_calibration.prior import DRIFT, UNCALIBRATED, tolerance_covariance
+from vergence.self_calibration.state import FilterState, PriorSnapshot
 
 
 @pytest.mark.slow
@@ -42,9 +42,9 @@ def test_a_bumped_camera_is_reported_and_corrected(axis, noise_px, seen_before, 
             truth = change_named(truth, [name], np.radians([1.0]))
         readings = angles + rng.normal(0, JOINT_STD_RAD, 4)
         seen = matches(truth, angles, points, noise_px=noise_px, rng=rng)
-        found = from_matches(state, seen, readings)
-        state = drifted(learn(state, found), 0.3)
-        if state.bumped:
+        found = estimate_from_matches(state, seen, readings)
+        state = predict(update(state, found), 0.3)
+        if state.change == "camera turned":
             reported.append(k)
     assert found is not None
     assert len(reported) == 1
@@ -62,7 +62,7 @@ def test_a_camera_that_turns_about_a_joints_axis_is_reported_though_readings_are
     assert errors[moment + 10 :].max() < 0.1
 
 
-def uncalibrated(seed: int) -> tuple[SelfCalibration, HeadCalibration, np.random.Generator]:
+def uncalibrated(seed: int) -> tuple[FilterState, HeadCalibration, np.random.Generator]:
     """Return what is known of a head by its drawing, and the head as it was built."""
     state, rng = begin(head_of(seed)), np.random.default_rng(seed)
     C = tolerance_covariance(state.head, state.names, UNCALIBRATED)
@@ -78,11 +78,11 @@ def test_a_head_that_is_not_as_calibrated_is_reported_and_learned(seed):
     for k, angles in enumerate(postures(20, rng)):
         readings = angles + rng.normal(0, JOINT_STD_RAD, 4)
         seen = matches(truth, angles, points, noise_px=NOISE_PX, rng=rng)
-        found = from_matches(state, seen, readings)
-        state = drifted(learn(state, found), 0.3)
+        found = estimate_from_matches(state, seen, readings)
+        state = predict(update(state, found), 0.3)
         errors.append(turn_error_deg(found.head, found.joints, truth, angles))
-        reported += [k] * state.uncalibrated
-        assert not state.bumped
+        reported += [k] * (state.change == "head uncalibrated")
+        assert state.change != "camera turned"
     assert len(reported) == 1
     assert reported[0] < 6
     assert max(errors) > 0.5
@@ -101,7 +101,7 @@ def test_gains_beyond_what_is_stated_are_reported_and_learned(seed, settled):
     gains = [k for k, name in enumerate(state.names) if name.endswith("_gain")]
     C = 0.01 * state.covariance
     C[np.ix_(gains, gains)] = 1e-3**2 * np.eye(len(gains))
-    state = replace(state, covariance=C, origin=Origin(state.head, C), settled=settled)
+    state = replace(state, covariance=C, prior=PriorSnapshot(state.head, C), settled=settled)
     truth = change_named(
         drawn_head(state, rng), [state.names[k] for k in gains], rng.choice([-0.02, 0.02], 4)
     )
@@ -109,8 +109,8 @@ def test_gains_beyond_what_is_stated_are_reported_and_learned(seed, settled):
     for k, angles in enumerate(postures(70, rng)):
         readings = angles + rng.normal(0, JOINT_STD_RAD, 4)
         seen = matches(truth, angles, points, noise_px=NOISE_PX, rng=rng)
-        state = drifted(learn(state, from_matches(state, seen, readings)), 0.3)
-        reported += [k] * state.uncalibrated
+        state = predict(update(state, estimate_from_matches(state, seen, readings)), 0.3)
+        reported += [k] * (state.change == "head uncalibrated")
     assert len(reported) == 1
     assert squared_distance(state, truth) < chi2.isf(1e-4, len(state.names))
 
@@ -128,7 +128,7 @@ def test_evidence_about_another_head_says_the_same():
     head, rng = head_of(0), np.random.default_rng(0)
     state, angles = begin(head), postures(1, rng)[0]
     seen = matches(head, angles, room(300, rng), noise_px=NOISE_PX, rng=rng)
-    says = from_matches(state, seen, angles).evidence
+    says = estimate_from_matches(state, seen, angles).evidence
     assert says is not None
     change = np.zeros(len(says.vector))
     change[: len(state.names)] = 1e-5 * rng.normal(size=len(state.names))
@@ -145,33 +145,33 @@ def test_evidence_about_another_head_says_the_same():
     assert rest[1] == pytest.approx(rest[0], rel=1e-3)
 
 
-def learned(frames: int, *, joint_std_deg: float, told_deg: float) -> SelfCalibration:
+def learned(frames: int, *, joint_std_deg: float, told_deg: float) -> FilterState:
     """Return what frames teach of a head that is as calibrated, whose readings are told a noise."""
     head, rng = head_of(0), np.random.default_rng(4)
     state, points = replace(begin(head), joint_std_rad=np.radians(told_deg)), room(300, rng)
     for angles in postures(frames, rng):
         seen = matches(head, angles, points, noise_px=NOISE_PX, rng=rng)
         readings = angles + rng.normal(0, np.radians(joint_std_deg), 4)
-        state = drifted(learn(state, from_matches(state, seen, readings)), 0.3)
-        assert not state.bumped
-        assert not state.uncalibrated
+        state = predict(update(state, estimate_from_matches(state, seen, readings)), 0.3)
+        assert state.change != "camera turned"
+        assert state.change != "head uncalibrated"
     return state
 
 
 def test_what_few_windows_taught_must_be_farther_from_the_calibration_to_contradict_it():
     """The noise of their matches is estimated from fewer sums of residuals: an F-test."""
     state = learned(8, joint_std_deg=0.15, told_deg=0.15)
-    recurrence = state.recurrence
+    recurrence = state.revisits
     assert recurrence is not None
     filled = np.flatnonzero(recurrence.blocks.any(axis=0))
     few = np.zeros_like(recurrence.blocks)
     few[:, filled[:8]] = 1.0
 
     def exceeds(factor: float, blocks: np.ndarray) -> bool:
-        change = change_between(state.head, state.origin.head, state.names)
-        head = change_named(state.origin.head, state.names, factor * change)
-        known = replace(state, head=head, recurrence=replace(recurrence, blocks=blocks))
-        return change_exceeds_prior(known)
+        change = change_between(state.head, state.prior.head, state.names)
+        head = change_named(state.prior.head, state.names, factor * change)
+        known = replace(state, head=head, revisits=replace(recurrence, blocks=blocks))
+        return contradicts_prior(known)
 
     factors = 1.05 ** np.arange(200)
     of_all, of_few = (
@@ -188,19 +188,19 @@ def test_what_may_drift_in_a_pause_is_expected_in_the_frame_after_it():
     seen = matches(truth, angles, room(300, rng), noise_px=NOISE_PX, rng=rng)
     statuses = []
     for hours in (0, 24):
-        after = drifted(state, 3600.0 * hours)
-        found = from_matches(after, seen, angles)
+        after = predict(state, 3600.0 * hours)
+        found = estimate_from_matches(after, seen, angles)
         statuses.append(found.status)
         error = turn_error_deg(found.head, found.joints, truth, angles)
         assert (error < 0.1) == (hours > 0)
-        assert not learn(after, found).bumped  # alone, no frame reports a change
+        assert update(after, found).change is None  # alone, no frame reports a change
     assert statuses == ["contradiction", "seen"]
 
 
 @pytest.mark.parametrize("elapsed_s", [-0.1, np.nan, np.inf])
 def test_a_time_between_frames_that_is_none_is_refused(elapsed_s):
     with pytest.raises(VergenceError, match="Frames follow each other after 0 s or more; found "):
-        drifted(begin(head_of(0)), elapsed_s)
+        predict(begin(head_of(0)), elapsed_s)
 
 
 @pytest.mark.slow
@@ -225,24 +225,24 @@ def test_a_few_matches_or_a_small_object_report_no_change_however_well_they_fit_
     truth = change_named(head, ["right_wide.T_eye_cam.rx"], np.radians([2.0]))
     for angles in 0.5 * postures(4, rng):
         seen = matches(truth, angles, points, noise_px=NOISE_PX, rng=rng)
-        found = from_matches(state, seen, angles)
+        found = estimate_from_matches(state, seen, angles)
         assert found.status == "contradiction"
-        state = drifted(learn(state, found), 0.3)
-        assert not state.bumped
-        assert not state.uncalibrated
+        state = predict(update(state, found), 0.3)
+        assert state.change != "camera turned"
+        assert state.change != "head uncalibrated"
 
 
 def test_in_a_pause_all_that_is_known_fades():
     state, pause_s = learned(3, joint_std_deg=0.15, told_deg=0.15), 600.0
-    later = drifted(state, pause_s)
+    later = predict(state, pause_s)
     drift = tolerance_covariance(state.head, state.names, DRIFT) * pause_s / 60
     # Of where it was learned from too: else drift would look like a head that was never calibrated.
-    for before, after in ((state, later), (state.origin, later.origin)):
+    for before, after in ((state, later), (state.prior, later.prior)):
         np.testing.assert_allclose(after.covariance, before.covariance + drift)
-    assert state.recurrence is not None
-    assert later.recurrence is not None
-    np.testing.assert_allclose(later.recurrence.ages_s, state.recurrence.ages_s + pause_s)
-    assert later.recurrence.independent < 0.5 * state.recurrence.independent
+    assert state.revisits is not None
+    assert later.revisits is not None
+    np.testing.assert_allclose(later.revisits.ages_s, state.revisits.ages_s + pause_s)
+    assert later.revisits.independent < 0.5 * state.revisits.independent
     assert later.time_s == state.time_s + pause_s
 
 
@@ -251,7 +251,7 @@ def test_time_goes_on_where_frames_are_linearised_again():
     for k, angles in enumerate(postures(9, rng)):
         seen = matches(head, angles, room(200, rng), noise_px=NOISE_PX, rng=rng)
         readings = angles + rng.normal(0, JOINT_STD_RAD, 4)
-        state = learn(state, from_matches(state, seen, readings))
+        state = update(state, estimate_from_matches(state, seen, readings))
         assert state.time_s == pytest.approx(0.3 * k)
-        assert state.recurrence.ages_s == pytest.approx(0.3 * np.arange(k, -1, -1))
-        state = drifted(state, 0.3)
+        assert state.revisits.ages_s == pytest.approx(0.3 * np.arange(k, -1, -1))
+        state = predict(state, 0.3)

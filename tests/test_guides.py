@@ -132,7 +132,7 @@ def test_the_guide_to_self_calibration_runs(tmp_path, monkeypatch):
         "frame": frame,
         **{"left_pixels": pixels, "right_pixels": pixels},
     }
-    code = next(b.text for b in blocks("docs/locate.md") if "update_geometry" in b.text)
+    code = next(b.text for b in blocks("docs/locate.md") if "SelfCalibrator" in b.text)
     exec(code, names)
     assert names["seen"].status == "seen"
     assert vergence.load_head("learned.json").accuracy is not None
@@ -204,7 +204,7 @@ def test_the_guide_to_locating_points_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {}
     for block in blocks("docs/locate.md"):
-        if block.language == "python" and "update_geometry" not in block.text:
+        if block.language == "python" and "SelfCalibrator" not in block.text:
             exec(compile(block.text, "locate.md", "exec"), names)
             if "points, colours" not in block.text:
                 located = names["points"]

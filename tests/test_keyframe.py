@@ -7,10 +7,10 @@ from simulated_frames import CAMERAS, JOINT_STD_RAD, NOISE_PX, begin, head_of, p
 from simulated_matches import drawn_head, matches, room
 from test_changed_head import learned
 from vergence.geometry.parameters import change_named
-from vergence.self_calibration.frame import from_matches
-from vergence.self_calibration.learning import learn
+from vergence.self_calibration.filter import update
+from vergence.self_calibration.frame import estimate_from_matches
+from vergence.self_calibration.kalman import predict
 from vergence.self_calibration.residuals import epipolar_residuals, pair_coordinates
-from vergence.self_calibration.update import drifted
 
 
 def test_a_keyframe_stays_until_the_eyes_have_turned():
@@ -20,7 +20,7 @@ def test_a_keyframe_stays_until_the_eyes_have_turned():
     for pan in np.radians([0.0, 3.0, 6.0, 9.0, 12.0]):
         joints = np.array([pan, 0.0, pan, 0.0])
         seen = matches(head, joints, points, noise_px=NOISE_PX, rng=rng)
-        state = drifted(learn(state, from_matches(state, seen, joints)), 0.5)
+        state = predict(update(state, estimate_from_matches(state, seen, joints)), 0.5)
         assert state.keyframe is not None
         kept.append(np.degrees(state.keyframe.joints[0]))
     np.testing.assert_allclose(kept, [0, 0, 0, 9, 9], atol=0.5)
@@ -37,7 +37,7 @@ def test_the_joints_of_a_keyframe_are_known_better_with_every_frame_after_it():
         for angles in rng.uniform(-0.04, 0.04, (12, 4)):
             readings = angles + rng.normal(0, JOINT_STD_RAD, 4)
             seen = matches(truth, angles, points, noise_px=NOISE_PX, rng=rng)
-            state = drifted(learn(state, from_matches(state, seen, readings)), 0.5)
+            state = predict(update(state, estimate_from_matches(state, seen, readings)), 0.5)
             if first is None:
                 first, then = state.keyframe, angles
         assert first is not None
@@ -55,7 +55,7 @@ def test_the_features_of_a_keyframe_fit():
     head, rng = head_of(0), np.random.default_rng(0)
     state, angles = begin(head), postures(1, rng)[0]
     seen = matches(head, angles, room(300, rng), noise_px=NOISE_PX, rng=rng, outliers=0.4)
-    key = learn(state, from_matches(state, seen, angles)).keyframe
+    key = update(state, estimate_from_matches(state, seen, angles)).keyframe
     assert key is not None
     assert len(key.pixels[0]) > 50
     pair = pair_coordinates(head, state.names, angles, CAMERAS)
@@ -68,7 +68,7 @@ def test_a_frame_that_contradicts_leaves_no_keyframe():
     turned = [f"right_wide.T_eye_cam.r{axis}" for axis in "xyz"]
     truth, angles = change_named(head_of(0), turned, np.radians([1.0, -1.0, 1.0])), np.zeros(4)
     seen = matches(truth, angles, room(300, rng), noise_px=NOISE_PX, rng=rng)
-    found = from_matches(state, seen, angles)
+    found = estimate_from_matches(state, seen, angles)
     assert found.status == "contradiction"
     assert state.keyframe is not None
-    assert learn(state, found).keyframe is None
+    assert update(state, found).keyframe is None

@@ -23,11 +23,10 @@ from vergence.geometry.parameters import (
 )
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import boxminus, pose, rotation
-from vergence.self_calibration.frame import from_matches
-from vergence.self_calibration.learning import learn, learned_head
-from vergence.self_calibration.state import initial_self_calibration
-from vergence.self_calibration.tolerances import MOVED, USUAL, tolerance_covariance
-from vergence.self_calibration.update import drifted
+from vergence.self_calibration.filter import learned_head, update
+from vergence.self_calibration.frame import estimate_from_matches
+from vergence.self_calibration.kalman import predict
+from vergence.self_calibration.prior import MOVED, USUAL, initial_state, tolerance_covariance
 from vergence.stereo.extrinsics import T_rcam_lcam, rebase
 from vergence.stereo.uncertainty import locate_jointly
 
@@ -37,13 +36,13 @@ def test_a_learned_head_is_a_calibration_with_its_accuracy(tmp_path):
     state = begin(head)
     for angles in postures(3, rng):
         seen = matches(head, angles, room(300, rng), noise_px=NOISE_PX, rng=rng)
-        state = drifted(learn(state, from_matches(state, seen, angles)), 0.3)
+        state = predict(update(state, estimate_from_matches(state, seen, angles)), 0.3)
     save_head(learned_head(state), tmp_path / "learned.json")
     again = load_head(tmp_path / "learned.json")
     assert again.accuracy is not None
     assert again.accuracy.method == "self-calibration"
     np.testing.assert_allclose(again.accuracy.covariance, state.covariance, rtol=1e-9)
-    assert initial_self_calibration(again).names == state.names
+    assert initial_state(again).names == state.names
 
 
 @pytest.mark.parametrize("stated", [True, False])
@@ -68,7 +67,7 @@ def test_other_cameras_follow_the_main_one_of_their_eye(stated):
     state = begin(head)
     for angles in postures(6, rng):
         seen = matches(truth, angles, room(200, rng), noise_px=NOISE_PX, rng=rng)
-        state = drifted(learn(state, from_matches(state, seen, angles)), 0.3)
+        state = predict(update(state, estimate_from_matches(state, seen, angles)), 0.3)
     learned = learned_head(state)
     for name in ("left_wide", "left_narrow"):
         mountings = (each.camera(name).T_eye_cam for each in (learned, truth))
@@ -84,7 +83,7 @@ def test_cameras_that_do_not_see_the_scene_stay_as_uncertain_as_they_were(stated
         names = parameter_names(head)
         std = 1e-3 * (1 + np.arange(len(names)))
         head = replace(head, accuracy=Accuracy("bundle", names, np.diag(std**2)))
-    state = initial_self_calibration(head)
+    state = initial_state(head)
     learned = learned_head(state).accuracy
     assert learned is not None
     own = [k for k, n in enumerate(learned.parameters) if n.startswith("left_narrow.")]

@@ -11,17 +11,17 @@ from scipy.stats import chi2
 from simulated_frames import CAMERAS, JOINT_STD_RAD, NOISE_PX, begin, head_of, postures
 from simulated_matches import matches, room, squared_distance
 from vergence.geometry.head_accuracy import Accuracy
-from vergence.self_calibration.frame import from_matches
-from vergence.self_calibration.learning import learn
+from vergence.self_calibration.filter import update
+from vergence.self_calibration.frame import estimate_from_matches
+from vergence.self_calibration.kalman import predict
 from vergence.self_calibration.match_noise import (
-    Recurrence,
-    aged,
+    RevisitCorrelation,
     design_effect,
-    recurrence_inflation,
-    share_filled,
-    with_frame,
+    filled_share,
+    predict_revisits,
+    revisit_inflation,
+    update_revisits,
 )
-from vergence.self_calibration.update import drifted
 from vergence.vision.matching.scene_features import Matches
 
 
@@ -42,7 +42,7 @@ def test_a_covariance_counts_errors_that_neighbouring_matches_share():
         angles = postures(1, rng)[0]
         seen = matches(head, angles, points, noise_px=NOISE_PX, rng=rng)
         readings = angles + rng.normal(0, state.joint_std_rad, 4)
-        found = from_matches(state, block_errors(seen, rng), readings)
+        found = estimate_from_matches(state, block_errors(seen, rng), readings)
         error = (found.joints - angles)[[0, 2]] @ [1, -1]
         own = found.covariance[len(names) :, len(names) :][np.ix_([0, 2], [0, 2])]
         stds.append(np.sqrt([1, -1] @ own @ [1, -1]))
@@ -69,7 +69,7 @@ def test_a_lens_that_departs_from_its_model_as_stated_makes_nothing_too_certain(
             readings = angles + rng.normal(0, JOINT_STD_RAD, 4)
             seen = matches(head, angles, points, noise_px=NOISE_PX, rng=rng)
             seen = replace(seen, left=seen.left + bent(seen.left))
-            state = drifted(learn(state, from_matches(state, seen, readings)), 0.3)
+            state = predict(update(state, estimate_from_matches(state, seen, readings)), 0.3)
         distances.append(squared_distance(state, head))
     assert distances[0] > chi2.isf(1e-9, len(state.names))
     assert distances[1] < len(state.names)
@@ -80,11 +80,11 @@ def test_a_frame_counts_by_what_its_posture_adds():
     joints, blocks = np.zeros(4), np.ones(8)
     before, told, c, everywhere = None, 0.0, 0.3, 0.005
     for n in range(1, 6):
-        told += 1 / recurrence_inflation(before, joints)
+        told += 1 / revisit_inflation(before, joints)
         assert told == pytest.approx(n / (1 + (c + everywhere) * (n - 1)))
         # Of what is not in common at any posture.
-        after, inflation = with_frame(before, joints, blocks)
-        assert inflation == recurrence_inflation(before, joints)
+        after, inflation = update_revisits(before, joints, blocks)
+        assert inflation == revisit_inflation(before, joints)
         before = replace(after, correlation=c / (1 - everywhere))
     # Elsewhere, or much later, all but what frames have in common at any posture is new.
     K = (1 - c - everywhere) * np.eye(6) + c + everywhere
@@ -92,8 +92,8 @@ def test_a_frame_counts_by_what_its_posture_adds():
     new = 1 / (np.linalg.solve(K, np.ones(6)).sum() - told)
     assert 1 < new < 1.2
     elsewhere = joints + np.radians(60)
-    assert recurrence_inflation(before, elsewhere) == pytest.approx(new, abs=1e-3)
-    assert recurrence_inflation(aged(before, 7200.0), joints) == pytest.approx(1, abs=1e-3)
+    assert revisit_inflation(before, elsewhere) == pytest.approx(new, abs=1e-3)
+    assert revisit_inflation(predict_revisits(before, 7200.0), joints) == pytest.approx(1, abs=1e-3)
 
 
 @pytest.mark.parametrize("systematic", [0.0, 0.3])
@@ -101,8 +101,8 @@ def test_no_number_of_frames_tells_more_than_what_they_have_in_common_allows(sys
     told, before, rng = 0.0, None, np.random.default_rng(0)
     everywhere = systematic + (1 - systematic) * 0.005
     for joints in rng.uniform(-100, 100, (1000, 4)):  # postures without a common neighbour
-        told += 1 / recurrence_inflation(before, joints)
-        before, _ = with_frame(before, joints, np.ones(8), systematic)
+        told += 1 / revisit_inflation(before, joints)
+        before, _ = update_revisits(before, joints, np.ones(8), systematic)
     assert told == pytest.approx(1000 / (1 + everywhere * 999), rel=1e-6)
     assert told < 1 / everywhere
 
@@ -116,8 +116,8 @@ def test_no_number_of_frames_tells_more_than_what_they_have_in_common_allows(sys
 def test_no_frame_tells_more_than_one_that_shares_no_errors(seed, n, apart_deg, correlation):
     rng = np.random.default_rng(seed)
     joints = np.radians(apart_deg) * rng.normal(size=(n + 1, 4))
-    before = Recurrence(joints[1:], rng.uniform(0, 1200, n), np.ones((n, 4)), correlation)
-    assert recurrence_inflation(aged(before, rng.uniform(0, 10)), joints[0]) >= 1 - 1e-9
+    before = RevisitCorrelation(joints[1:], rng.uniform(0, 1200, n), np.ones((n, 4)), correlation)
+    assert revisit_inflation(predict_revisits(before, rng.uniform(0, 10)), joints[0]) >= 1 - 1e-9
 
 
 @pytest.mark.parametrize(("width", "height"), [(320, 240), (640, 480), (500, 333), (3000, 2000)])
@@ -127,7 +127,7 @@ def test_features_all_over_an_image_of_any_size_fill_it(width, height):
 
     def filled(seen: np.ndarray) -> float:
         _, blocks = design_effect(rng.normal(size=seen.sum()), pixels[seen], size, expected=2.0)
-        return share_filled(blocks, size)
+        return filled_share(blocks, size)
 
     assert filled(pixels[:, 0] < width) == 1
     assert filled(pixels[:, 0] < width / 20) == pytest.approx(1 / min(-(-width // 64), 16))
@@ -145,7 +145,7 @@ def test_how_much_matches_err_is_learned():
             seen = replace(seen, covariance=seen.covariance / 4)
             seen = block_errors(seen, rng) if shared else seen
             readings = angles + rng.normal(0, JOINT_STD_RAD, 4)
-            state = drifted(learn(state, from_matches(state, seen, readings)), 0.3)
+            state = predict(update(state, estimate_from_matches(state, seen, readings)), 0.3)
         states.append(state)
     own, common = states
     assert own.match_scale == pytest.approx(2.0, rel=0.1)

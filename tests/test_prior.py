@@ -17,8 +17,9 @@ from vergence.geometry.lens import COEFFICIENTS
 from vergence.geometry.parameters import change_named, parameter_names
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import transform
+from vergence.self_calibration.prior import initial_state
 from vergence.self_calibration.residuals import epipolar_residuals
-from vergence.self_calibration.state import SelfCalibration, initial_self_calibration
+from vergence.self_calibration.state import FilterState
 from vergence.stereo.extrinsics import T_rcam_lcam, camera_poses
 
 
@@ -26,7 +27,7 @@ from vergence.stereo.extrinsics import T_rcam_lcam, camera_poses
 def test_lenses_without_a_stated_covariance_err_by_a_tenth_of_a_pixel(kind):
     """Root mean square over the image; the coefficients trade off against each other."""
     head = head_of_kind(kind, np.random.default_rng(0))
-    state, rng = initial_self_calibration(head), np.random.default_rng(1)
+    state, rng = initial_state(head), np.random.default_rng(1)
     camera = head.camera(state.cameras[0]).intrinsics
     lens = [
         k
@@ -60,14 +61,14 @@ def test_both_eyes_of_a_calibration_without_covariance_are_taken_to_err_alike_in
     assert np.linalg.eigvalsh(correlation)[0] > 0
 
 
-def fitted(*focal: float, centre_px: float = 0.1, distortion_px: float = 0.05) -> SelfCalibration:
+def fitted(*focal: float, centre_px: float = 0.1, distortion_px: float = 0.05) -> FilterState:
     """Return what is known of a head whose lenses were fitted so well, the left one first."""
     lenses = {
         name: LensAccuracy(focal=each, centre_px=centre_px, distortion_px=distortion_px)
         for name, each in zip(CAMERAS, focal, strict=False)
     }
     head = replace(head_of(0), accuracy=Accuracy(method="paper", lenses=lenses))
-    state = initial_self_calibration(head, changed="nothing")
+    state = initial_state(head, changed="nothing")
     assert np.linalg.eigvalsh(state.covariance)[0] > 0
     return state
 
@@ -76,7 +77,7 @@ def fitted(*focal: float, centre_px: float = 0.1, distortion_px: float = 0.05) -
 def test_of_a_head_that_may_have_changed_no_stated_accuracy_holds(kind):
     """It starts as one that states none, but for the noise of its readings and pixels."""
     head = head_of_kind(kind, np.random.default_rng(0))
-    none = initial_self_calibration(replace(head, accuracy=None))
+    none = initial_state(replace(head, accuracy=None))
     stated = Accuracy(
         method="bundle",
         parameters=none.names[:-1],
@@ -84,19 +85,19 @@ def test_of_a_head_that_may_have_changed_no_stated_accuracy_holds(kind):
         joint_std=(1e-3,),
         findings=(void("not-converged", "For a reason."),),
     )
-    changed = initial_self_calibration(replace(head, accuracy=stated), changed="anything")
+    changed = initial_state(replace(head, accuracy=stated), changed="anything")
     assert changed.names == none.names
     np.testing.assert_array_equal(changed.covariance, none.covariance)
     accuracy = changed.head.accuracy
     assert accuracy is not None
     assert (accuracy.void, accuracy.joint_std) == (stated.void, stated.joint_std)
-    little = initial_self_calibration(replace(head, accuracy=stated))
+    little = initial_state(replace(head, accuracy=stated))
     assert little.covariance[0, 0] < none.covariance[0, 0]
 
 
 def test_another_word_for_what_may_have_changed_is_refused():
     with pytest.raises(VergenceError, match="nothing or little or anything, found 'much'"):
-        initial_self_calibration(head_of(0), changed="much")  # pyright: ignore
+        initial_state(head_of(0), changed="much")  # pyright: ignore
 
 
 def test_the_ratio_of_focal_lengths_errs_by_twice_what_their_fits_state():
@@ -118,7 +119,7 @@ def test_the_ratio_of_focal_lengths_errs_by_twice_what_their_fits_state():
 
 
 def test_lenses_err_by_twice_what_their_fits_state():
-    def std(state: SelfCalibration, name: str) -> float:
+    def std(state: FilterState, name: str) -> float:
         k = state.names.index(name)
         return float(np.sqrt(state.covariance[k, k]))
 
@@ -150,7 +151,7 @@ def test_epipolar_lines_of_a_calibration_without_covariance_fit_to_a_third_of_a_
     the four errors that are counted.
     """
     head = head_of_kind(kind, np.random.default_rng(0))
-    state, rng = initial_self_calibration(head, changed="nothing"), np.random.default_rng(1)
+    state, rng = initial_state(head, changed="nothing"), np.random.default_rng(1)
     straight = straight_gaze(head.kinematics)
     T_left, T_right = camera_poses(head, straight, cameras=state.cameras)
     baseline = np.linalg.norm(T_right[:3, 3] - T_left[:3, 3])
@@ -179,14 +180,14 @@ def test_a_stated_covariance_without_focal_lengths_leaves_a_prior_that_can_be_in
     head = head_of(0)
     names = tuple(name for name in parameter_names(head) if name.endswith("_gain"))
     accuracy = Accuracy(method="bundle", parameters=names, covariance=1e-8 * np.eye(len(names)))
-    C = initial_self_calibration(replace(head, accuracy=accuracy)).covariance
+    C = initial_state(replace(head, accuracy=accuracy)).covariance
     std = np.sqrt(np.diag(C))
     assert np.linalg.eigvalsh(C / np.outer(std, std))[0] > 1e-4
 
 
 def test_gains_of_readings_that_count_against_each_other_err_alike_too():
     """Vergence turns the eyes against each other: the same error of its gain is of both signs."""
-    state = initial_self_calibration(head_of_kind("version and vergence", np.random.default_rng(0)))
+    state = initial_state(head_of_kind("version and vergence", np.random.default_rng(0)))
     std = np.sqrt(np.diag(state.covariance))
 
     def of_both_eyes(reading: str) -> float:
@@ -202,9 +203,7 @@ def test_gains_of_readings_that_count_against_each_other_err_alike_too():
 def test_names_of_cameras_do_not_matter():
     head = head_of(0)
     named = {f"{name}_factor_x": mounted for name, mounted in head.cameras.items()}
-    covariances = [
-        initial_self_calibration(each).covariance for each in (head, replace(head, cameras=named))
-    ]
+    covariances = [initial_state(each).covariance for each in (head, replace(head, cameras=named))]
     np.testing.assert_allclose(*covariances, rtol=1e-9)
 
 
@@ -213,5 +212,5 @@ def test_readings_of_moving_eyes_err_by_more_than_a_recording_at_rest_may_state(
     stated_deg, taken_deg
 ):
     accuracy = Accuracy("bundle", joint_std=(np.radians(stated_deg),))
-    state = initial_self_calibration(replace(head_of(0), accuracy=accuracy))
+    state = initial_state(replace(head_of(0), accuracy=accuracy))
     assert state.joint_std_rad == pytest.approx(np.radians(taken_deg))

@@ -18,8 +18,8 @@ from vergence.gaze.state import EyeCameras, GazeSettings, GazeState, initial_gaz
 from vergence.geometry.kinematics import EYES, Side
 from vergence.paper.figures import FIGURES
 from vergence.paper.recording import figure_recording
+from vergence.self_calibration.calibrator import UPDATE_S, initial_visual_geometry, update_geometry
 from vergence.self_calibration.keyframe import TURNED_RAD
-from vergence.self_calibration.sequence import LEARNING_S, initial_seen_geometry, update_geometry
 from vergence.viewer.seen import log_learned, log_matches
 
 
@@ -29,50 +29,50 @@ def moving(slow_setup: None) -> list[tuple[Array, Frame]]:
 
 
 def test_every_frame_is_better_than_the_readings_and_teaches_the_next(moving):
-    geometry = initial_seen_geometry(HEAD)
+    geometry = initial_visual_geometry(HEAD)
     by_readings, by_sight = [], []
     for angles, each in moving:
         geometry = update_geometry(geometry, each)
         assert geometry.latest is not None
         by_readings.append(turn_error(HEAD, each.eye_angles, angles))
         by_sight.append(turn_error(geometry.latest.head, geometry.latest.joints, angles))
-    assert geometry.known.frames == len(moving) - 1  # the first shows where the eyes begin
+    assert geometry.state.frames == len(moving) - 1  # the first shows where the eyes begin
     assert np.mean(by_sight) < np.mean(by_readings) / 3
-    assert geometry.known.joint_std_rad == pytest.approx(NOISE_RAD, rel=0.4)
+    assert geometry.state.joint_std_rad == pytest.approx(NOISE_RAD, rel=0.4)
 
 
 def test_frames_that_show_the_same_again_teach_nothing(moving):
     """Those that follow too closely, and those of eyes at rest."""
     (_, first), (_, second), *_ = moving
-    once = update_geometry(initial_seen_geometry(HEAD), first)
-    assert once.known.frames == 0
-    close = update_geometry(once, replace(second, time_s=first.time_s + LEARNING_S / 3))
+    once = update_geometry(initial_visual_geometry(HEAD), first)
+    assert once.state.frames == 0
+    close = update_geometry(once, replace(second, time_s=first.time_s + UPDATE_S / 3))
     at_rest = update_geometry(once, replace(first, time_s=first.time_s + 5.0))
     for again in (close, at_rest):
-        assert again.known.frames == 0
+        assert again.state.frames == 0
         assert again.latest is not once.latest
-    assert update_geometry(once, second).known.frames == 1
+    assert update_geometry(once, second).state.frames == 1
     earlier = update_geometry(once, replace(second, time_s=-100.0))  # of another run
-    assert (np.diag(earlier.known.covariance) < np.diag(once.known.covariance) * 1.001).all()
+    assert (np.diag(earlier.state.covariance) < np.diag(once.state.covariance) * 1.001).all()
 
 
 def test_features_are_not_tracked_across_a_motion_of_the_neck(moving):
-    geometry = initial_seen_geometry(HEAD)
+    geometry = initial_visual_geometry(HEAD)
     for _, each in moving[:3]:
         geometry = update_geometry(geometry, each)
-    before = geometry.known.keyframe
+    before = geometry.state.keyframe
     assert before is not None
     assert np.abs(moving[3][1].eye_angles - before.joints).max() < TURNED_RAD
     for neck, stays in ((0.0, True), (np.radians(3), False)):
         after = update_geometry(geometry, replace(moving[3][1], neck_angles=np.full(3, neck)))
-        assert after.known.keyframe is not None
-        assert (after.known.keyframe.images is before.images) == stays
+        assert after.state.keyframe is not None
+        assert (after.state.keyframe.images is before.images) == stays
         assert after.keyframe_neck is not None
         np.testing.assert_array_equal(after.keyframe_neck, 0.0 if stays else neck)
 
 
 def test_an_eye_that_sees_alone_corrects_its_readings_unless_the_neck_has_moved(moving):
-    geometry = initial_seen_geometry(HEAD)
+    geometry = initial_visual_geometry(HEAD)
     for _, each in moving[:5]:
         geometry = update_geometry(geometry, each)
     dark = {**moving[5][1].images, "right_wide": np.full((480, 640, 3), 20, np.uint8)}
@@ -80,7 +80,7 @@ def test_an_eye_that_sees_alone_corrects_its_readings_unless_the_neck_has_moved(
     found = update_geometry(geometry, covered)
     assert found.latest is not None
     assert found.latest.status == "little seen"
-    assert found.known.frames == geometry.known.frames
+    assert found.state.frames == geometry.state.frames
     corrected = np.abs(found.latest.joints - covered.eye_angles) > 1e-9
     np.testing.assert_array_equal(corrected, [True, True, False, False])
     stds = np.sqrt(np.diag(found.latest.covariance)[-4:])
@@ -92,13 +92,13 @@ def test_an_eye_that_sees_alone_corrects_its_readings_unless_the_neck_has_moved(
 
 def test_a_frame_that_showed_nothing_does_not_keep_the_next_from_teaching(moving):
     """A hand covers an eye while the eyes move, and is gone when they rest."""
-    geometry = update_geometry(initial_seen_geometry(HEAD), moving[0][1])
+    geometry = update_geometry(initial_visual_geometry(HEAD), moving[0][1])
     dark = {**moving[5][1].images, "right_wide": np.full((480, 640, 3), 20, np.uint8)}
     covered = update_geometry(geometry, replace(moving[5][1], images=dark))
-    assert covered.known.frames == geometry.known.frames
-    assert covered.learned_s == geometry.learned_s
+    assert covered.state.frames == geometry.state.frames
+    assert covered.updated_s == geometry.updated_s
     at_rest = replace(moving[5][1], time_s=moving[5][1].time_s + 1.0)
-    assert update_geometry(covered, at_rest).known.frames == 1
+    assert update_geometry(covered, at_rest).state.frames == 1
 
 
 @pytest.mark.parametrize(
@@ -117,7 +117,7 @@ def test_a_frame_that_showed_nothing_does_not_keep_the_next_from_teaching(moving
 )
 def test_a_frame_that_cannot_be_used_is_refused(change, said, moving):
     with pytest.raises(VergenceError, match=said):
-        update_geometry(initial_seen_geometry(HEAD), change(moving[0][1]))
+        update_geometry(initial_visual_geometry(HEAD), change(moving[0][1]))
 
 
 def follow(geometry, seconds: float) -> tuple[float, list[GazeState]]:
@@ -153,7 +153,7 @@ def test_the_gaze_locates_better_by_what_it_sees_and_steers_as_before():
     assert [one.phase for one in before[2:]] == [other.phase for other in after[2:]]
     last = after[-1]
     assert last.geometry is not None
-    assert last.geometry.known.frames > 0
+    assert last.geometry.state.frames > 0
     assert last.track is not None
 
 
@@ -163,8 +163,8 @@ def test_one_eye_cannot_see_the_geometry():
 
 
 def test_recordings_show_the_matches_and_what_was_learned(moving, tmp_path):
-    path, geometry = tmp_path / "seen.rrd", initial_seen_geometry(HEAD)
-    before = geometry.known
+    path, geometry = tmp_path / "seen.rrd", initial_visual_geometry(HEAD)
+    before = geometry.state
     with figure_recording(path, FIGURES[7], HEAD, [], beside="learned", known=before) as rec:
         for k, (_, each) in enumerate(moving[:3]):
             geometry = update_geometry(geometry, each)
@@ -172,7 +172,7 @@ def test_recordings_show_the_matches_and_what_was_learned(moving, tmp_path):
             rec.set_time("sim_time", duration=each.time_s)
             rec.set_time("frame", sequence=k)
             log_matches(rec, HEAD, geometry.latest)
-            log_learned(rec, HEAD, geometry.known)
+            log_learned(rec, HEAD, geometry.state)
     assert_valid(path)
     entity = "/world/right_eye/right_wide/matches"
     stream = RrdReader(path).stream().filter(content=entity, components="Points2D:positions")
@@ -190,19 +190,19 @@ def test_recordings_show_the_matches_and_what_was_learned(moving, tmp_path):
     np.testing.assert_allclose(levels[0], [0, std, -std], atol=1e-9)
     assert levels[-1][1] - levels[-1][0] < std
     _, focal = read_series(path, "/learned/focal/right_wide")
-    true, learned = (h.camera("right_wide").intrinsics.matrix for h in (HEAD, geometry.known.head))
+    true, learned = (h.camera("right_wide").intrinsics.matrix for h in (HEAD, geometry.state.head))
     assert focal[-1][0] == pytest.approx(100 * (learned[0, 0] / true[0, 0] - 1))
 
 
 def test_what_a_driver_writes_into_its_images_later_does_not_reach_the_keyframe(moving):
-    geometry = initial_seen_geometry(HEAD)
+    geometry = initial_visual_geometry(HEAD)
     grey = [
         replace(each, images={name: image[..., 0] for name, image in each.images.items()})
         for _, each in moving[:2]
     ]
     for each in grey:
         geometry = update_geometry(geometry, each)
-    key = geometry.known.keyframe
+    key = geometry.state.keyframe
     assert key is not None
     assert key.images is not None
     before = key.images[0].copy()
@@ -213,25 +213,24 @@ def test_what_a_driver_writes_into_its_images_later_does_not_reach_the_keyframe(
 
 def test_readings_in_one_array_that_is_used_again_teach_as_others_do(moving):
     joints, neck = np.zeros(4), np.zeros(3)
-    again = fresh = initial_seen_geometry(HEAD)
+    again = fresh = initial_visual_geometry(HEAD)
     for _, each in moving[:6]:
         joints[:] = each.eye_angles
         neck[:] = each.neck_angles
         fresh = update_geometry(fresh, each)
         again = update_geometry(again, replace(each, eye_angles=joints, neck_angles=neck))
-    assert again.known.frames == fresh.known.frames > 0
+    assert again.state.frames == fresh.state.frames > 0
     assert again.keyframe_neck is not neck
 
 
 def test_a_change_is_reported_once(moving):
-    geometry = update_geometry(initial_seen_geometry(HEAD), moving[0][1])
-    reported = replace(geometry, known=replace(geometry.known, bumped=True, uncalibrated=True))
-    at_rest = update_geometry(reported, moving[0][1]).known
-    assert not at_rest.bumped
-    assert not at_rest.uncalibrated
+    geometry = update_geometry(initial_visual_geometry(HEAD), moving[0][1])
+    reported = replace(geometry, state=replace(geometry.state, change="camera turned"))
+    at_rest = update_geometry(reported, moving[0][1]).state
+    assert at_rest.change is None
 
 
 def test_a_frame_without_a_time_is_refused(moving):
-    geometry = update_geometry(initial_seen_geometry(HEAD), moving[0][1])
+    geometry = update_geometry(initial_visual_geometry(HEAD), moving[0][1])
     with pytest.raises(VergenceError, match="found nan"):
         update_geometry(geometry, replace(moving[1][1], time_s=np.nan))

@@ -35,12 +35,11 @@ from vergence.geometry.parameters import (
 )
 from vergence.geometry.projection import project_point
 from vergence.self_calibration import learning, prior
-from vergence.self_calibration.frame import from_matches, locate_seen
-from vergence.self_calibration.learning import learn, learned_head
+from vergence.self_calibration.filter import learned_head, update
+from vergence.self_calibration.frame import estimate_from_matches, locate_in_frame
+from vergence.self_calibration.kalman import predict
+from vergence.self_calibration.prior import USUAL, initial_state
 from vergence.self_calibration.residuals import epipolar_residuals, pair_coordinates
-from vergence.self_calibration.state import initial_self_calibration
-from vergence.self_calibration.tolerances import USUAL
-from vergence.self_calibration.update import drifted
 from vergence.stereo.extrinsics import T_rcam_lcam
 from vergence.vision.matching.scene_features import Matches
 
@@ -91,7 +90,7 @@ def test_exact_matches_give_the_exact_pose_of_the_cameras(seed):
     angles = postures(1, rng)[0]
     readings = angles + np.radians(0.5) * np.array([1, -1, -1, 1])
     exact = matches(head, angles, room(600, rng), noise_px=0.0, rng=rng)
-    found = from_matches(state, exact, readings)
+    found = estimate_from_matches(state, exact, readings)
     assert found.status == "seen"
     assert turn_error_deg(head, readings, head, angles) > 0.5
     assert turn_error_deg(found.head, found.joints, head, angles) < 1e-3
@@ -103,7 +102,7 @@ def test_seven_of_ten_wrong_matches_change_little():
     for angles in postures(10, rng):
         readings = angles + rng.normal(0, JOINT_STD_RAD, 4)
         seen = matches(head, angles, room(900, rng), noise_px=NOISE_PX, rng=rng, outliers=0.7)
-        found = from_matches(state, seen, readings)
+        found = estimate_from_matches(state, seen, readings)
         assert found.status == "seen"
         errors.append(turn_error_deg(found.head, found.joints, head, angles))
     assert np.median(errors) < 0.04
@@ -121,10 +120,10 @@ def test_what_is_seen_again_teaches_little_but_what_is_new_does():
         for _ in range(60):
             new = matches(head, angles, points, noise_px=NOISE_PX, rng=rng)
             readings = angles + rng.normal(0, JOINT_STD_RAD, 4)
-            found = from_matches(state, same if kind == "same" else new, readings)
-            state = drifted(learn(state, found), 1 / 30)
-        assert state.recurrence is not None
-        recurs[kind] = state.recurrence.correlation
+            found = estimate_from_matches(state, same if kind == "same" else new, readings)
+            state = predict(update(state, found), 1 / 30)
+        assert state.revisits is not None
+        recurs[kind] = state.revisits.correlation
         # How much smaller a variance has become, in the direction that images determine best.
         told[kind] = np.linalg.eigvals(np.linalg.solve(state.covariance, prior)).real.max()
     assert recurs["new"] < 0.15
@@ -139,7 +138,7 @@ def test_a_scene_that_shows_nothing_leaves_head_and_readings_as_they_were():
     none = Matches(np.empty((0, 2)), np.empty((0, 2)), np.empty((0, 2, 2)))
     wrong = matches(head, readings, room(40, rng), noise_px=NOISE_PX, rng=rng, outliers=1.0)
     for seen in (none, wrong):
-        found = from_matches(state, seen, readings)
+        found = estimate_from_matches(state, seen, readings)
         assert found.status != "seen"
         assert found.head is head
         np.testing.assert_array_equal(found.joints, readings)
@@ -164,12 +163,12 @@ def test_stated_covariances_are_true_for_heads_drawn_at_random():
         for angles in postures(frames, rng):
             readings = angles + rng.normal(0, JOINT_STD_RAD, 4)
             seen = matches(truth, angles, points, noise_px=NOISE_PX, rng=rng)
-            found = from_matches(state, seen, readings)
-            state = learn(state, found)
+            found = estimate_from_matches(state, seen, readings)
+            state = update(state, found)
         assert found is not None
         target = np.array([0.8, 0.05, -0.05])
         pixels = [project_point(truth, name, angles, target)[None] for name in CAMERAS]
-        where = locate_seen(found, left=pixels[0], right=pixels[1], pixel_std_px=1e-3)
+        where = locate_in_frame(found, left=pixels[0], right=pixels[1], pixel_std_px=1e-3)
         error = where.xyz[0] - target
         of_point.append(error @ np.linalg.solve(where.covariance[0], error))
         of_head += squared_distance(state, truth)
@@ -189,8 +188,8 @@ def test_a_frame_at_a_posture_that_was_learned_from_tells_no_more_of_the_head():
     truth, joints = drawn_head(state, rng), postures(1, rng)[0]
     pair = matches(truth, joints, room(400, rng), noise_px=NOISE_PX, rng=rng)
     for _ in range(30):
-        state = drifted(learn(state, from_matches(state, pair, joints)), 0.1)
-    again = from_matches(state, pair, joints)
+        state = predict(update(state, estimate_from_matches(state, pair, joints)), 0.1)
+    again = estimate_from_matches(state, pair, joints)
     assert again.evidence is not None
     P = len(state.names)
     before = np.sqrt(np.diag(state.covariance))
@@ -200,7 +199,7 @@ def test_a_frame_at_a_posture_that_was_learned_from_tells_no_more_of_the_head():
     # Elsewhere it tells what is new.
     away = joints + np.radians([25.0, -20.0, -25.0, 20.0])
     elsewhere = matches(truth, away, room(400, rng), noise_px=NOISE_PX, rng=rng)
-    other = from_matches(state, elsewhere, away)
+    other = estimate_from_matches(state, elsewhere, away)
     assert (np.diag(other.covariance)[:P] < 0.9 * before**2).any()
 
 
@@ -208,7 +207,7 @@ def test_a_frame_at_a_posture_that_was_learned_from_tells_no_more_of_the_head():
 def test_heads_of_every_kind_are_learned(kind):
     """Whatever their joints, lenses and image sizes, with cameras that are rolled by any angle."""
     rng = np.random.default_rng([3, KINDS.index(kind)])
-    state = replace(initial_self_calibration(head_of_kind(kind, rng)), match_scale=1.0)
+    state = replace(initial_state(head_of_kind(kind, rng)), match_scale=1.0)
     truth, points = drawn_head(state, rng), room(500, rng)
     errors_deg, statuses = [], set()
     readings = len(truth.kinematics.readings)
@@ -216,10 +215,10 @@ def test_heads_of_every_kind_are_learned(kind):
         given = angles + rng.normal(0, JOINT_STD_RAD, readings)
         pair = state.cameras
         seen = matches(truth, angles, points, noise_px=NOISE_PX, rng=rng, cameras=pair)
-        found = from_matches(state, seen, given)
+        found = estimate_from_matches(state, seen, given)
         errors_deg.append(turn_error_deg(found.head, found.joints, truth, angles, pair))
         statuses.add(found.status)
-        state = drifted(learn(state, found), 0.3)
+        state = predict(update(state, found), 0.3)
     assert statuses == {"seen"}
     assert squared_distance(state, truth) < chi2.isf(1e-4, len(state.names))
     # Half of what readings are wrong by: of 88 drawn heads 0.018 in the mean, 0.062 at most.
@@ -242,7 +241,7 @@ def test_readings_before_a_gear_teach_what_those_behind_it_do():
         for angles in postures(5, rng):
             read = factor * (angles + rng.normal(0, JOINT_STD_RAD, 4))
             seen = matches(truth, angles, points, noise_px=NOISE_PX, rng=rng)
-            state = drifted(learn(state, from_matches(state, seen, read)), 0.3)
+            state = predict(update(state, estimate_from_matches(state, seen, read)), 0.3)
         learned.append(state)
     one, other = learned
     std = np.sqrt(np.diag(one.covariance))
@@ -263,13 +262,13 @@ def test_a_vergence_that_is_counted_wrongly_is_learned_without_a_stated_covarian
     truth = change_named(
         head, factors, 0.03 * np.array([parameter_values(head)[n] for n in factors])
     )
-    state, points = initial_self_calibration(head), room(500, rng)
+    state, points = initial_state(head), room(500, rng)
     assert set(factors) <= set(state.names)
     readings = len(head.kinematics.readings)
     for angles in rng.uniform(-0.25, 0.25, (20, readings)):
         given = angles + rng.normal(0, JOINT_STD_RAD, readings)
         seen = matches(truth, angles, points, noise_px=NOISE_PX, rng=rng, cameras=state.cameras)
-        state = drifted(learn(state, from_matches(state, seen, given)), 0.3)
+        state = predict(update(state, estimate_from_matches(state, seen, given)), 0.3)
     rows = [state.names.index(n) for n in factors]
     error = change_between(truth, state.head, state.names)[rows]
     std = np.sqrt(np.diag(state.covariance))[rows]
@@ -282,7 +281,7 @@ def test_axes_that_are_off_do_not_pass_for_other_errors_without_a_stated_covaria
     """The paper's method has axes as designed."""
     rng = np.random.default_rng(7)
     head = replace(head_of_kind(kind, rng), accuracy=None)
-    state, points = initial_self_calibration(head), room(500, rng)
+    state, points = initial_state(head), room(500, rng)
     stds = {
         "nonorthogonality_rad": USUAL.axis_turn_rad,
         "axis_distance_m": USUAL.axis_shift_m,
@@ -297,7 +296,7 @@ def test_axes_that_are_off_do_not_pass_for_other_errors_without_a_stated_covaria
     for angles in rng.uniform(-0.35, 0.35, (30, readings)):
         given = angles + rng.normal(0, JOINT_STD_RAD, readings)
         seen = matches(truth, angles, points, noise_px=NOISE_PX, rng=rng, cameras=state.cameras)
-        state = drifted(learn(state, from_matches(state, seen, given)), 0.3)
+        state = predict(update(state, estimate_from_matches(state, seen, given)), 0.3)
     error = change_between(truth, state.head, state.names)
     std = np.sqrt(np.diag(state.covariance))
     assert (np.abs(error) < 4 * std).all()
@@ -319,25 +318,25 @@ def test_the_first_frames_are_linearised_again_at_their_end_though_one_was_not_b
     for k, angles in enumerate(postures(8, rng)):
         seen = matches(head, angles, points, noise_px=NOISE_PX, rng=rng)
         readings = angles + rng.normal(0, JOINT_STD_RAD, 4) + np.radians(8.0) * (k == 5)
-        frame = from_matches(state, seen, readings)
+        frame = estimate_from_matches(state, seen, readings)
         assert (frame.status == "contradiction") == (k == 5)
-        state = drifted(learn(state, frame), 0.3)
+        state = predict(update(state, frame), 0.3)
     assert state.settled
     assert found == [2, 4, 7]
 
 
 def test_a_head_that_is_known_better_than_it_drifts_stays_where_it_is_known():
-    """What was known before the first frames says little of a head that has drifted since."""
+    """What was known before the first frames says little of a head that has predict since."""
     rng, head = np.random.default_rng(2), head_of(2)
     stated = begin(head)
     tight = Accuracy("bundle", parameters=stated.names, covariance=1e-4 * stated.covariance)
-    fresh = initial_self_calibration(replace(head, accuracy=tight), changed="nothing")
+    fresh = initial_state(replace(head, accuracy=tight), changed="nothing")
     state = replace(fresh, match_scale=1.0)
     truth, points = drawn_head(state, rng), room(300, rng)
     for angles in postures(16, rng):
         readings = angles + rng.normal(0, JOINT_STD_RAD, 4)
         seen = matches(truth, angles, points, noise_px=NOISE_PX, rng=rng)
-        state = drifted(learn(state, from_matches(state, seen, readings)), 0.3)
+        state = predict(update(state, estimate_from_matches(state, seen, readings)), 0.3)
     assert squared_distance(state, truth) < chi2.isf(1e-3, len(state.names))
     # By what it was known, and not by what it drifts meanwhile.
     assert squared_distance(replace(state, covariance=fresh.covariance), truth) < 4 * len(
@@ -347,19 +346,19 @@ def test_a_head_that_is_known_better_than_it_drifts_stays_where_it_is_known():
 
 def test_readings_without_stated_noise_are_given_the_usual_noise():
     head = replace(head_of(0), accuracy=Accuracy("paper", joint_std=(0.0,)))
-    assert initial_self_calibration(head).joint_std_rad == pytest.approx(prior.JOINT_STD_RAD)
+    assert initial_state(head).joint_std_rad == pytest.approx(prior.JOINT_STD_RAD)
 
 
 def test_readings_keep_the_ratio_of_noise_with_which_they_were_calibrated():
     stated = np.radians([0.04, 0.1])
     head = replace(head_of(0), accuracy=Accuracy("bundle", joint_std=tuple(stated)))
-    state, rng = initial_self_calibration(head), np.random.default_rng(0)
+    state, rng = initial_state(head), np.random.default_rng(0)
     np.testing.assert_allclose(state.reading_std_rad, np.tile(stated, 2), rtol=1e-9)
     truth, points = drawn_head(state, rng), room(300, rng)
     for angles in postures(16, rng):
         readings = angles + rng.normal(0, np.tile(2 * stated, 2))
         seen = matches(truth, angles, points, noise_px=NOISE_PX, rng=rng)
-        state = drifted(learn(state, from_matches(state, seen, readings)), 0.3)
+        state = predict(update(state, estimate_from_matches(state, seen, readings)), 0.3)
     np.testing.assert_allclose(state.reading_std_rad, np.tile(2 * stated, 2), rtol=0.3)
     np.testing.assert_allclose(learned_head(state).accuracy.joint_std, 2 * stated, rtol=0.3)
 
@@ -367,17 +366,17 @@ def test_readings_keep_the_ratio_of_noise_with_which_they_were_calibrated():
 def test_a_head_whose_joints_were_not_calibrated_is_refused():
     measured = Accuracy("bundle", joint_std=(1e-3, 1e-4), eye_motion="poses")
     with pytest.raises(VergenceError, match="nothing is known of its joints"):
-        initial_self_calibration(replace(head_of(0), accuracy=measured))
+        initial_state(replace(head_of(0), accuracy=measured))
 
 
 def test_a_seen_frame_locates_by_the_cameras_that_saw_it():
     head, cameras = four_cameras(), ("left_narrow", "right_narrow")
-    state = initial_self_calibration(head, cameras=cameras)
+    state = initial_state(head, cameras=cameras)
     rng, joints, point = np.random.default_rng(0), np.zeros(4), np.array([[1.0, -0.03, 0.0]])
     seen = matches(head, joints, room(3000, rng), noise_px=NOISE_PX, rng=rng, cameras=cameras)
-    found = from_matches(state, seen, joints)
+    found = estimate_from_matches(state, seen, joints)
     left, right = (project_point(head, name, joints, point) for name in cameras)
-    where = locate_seen(found, left=left, right=right, pixel_std_px=0.1)
+    where = locate_in_frame(found, left=left, right=right, pixel_std_px=0.1)
     np.testing.assert_allclose(where.xyz, point, atol=0.03)
 
 
@@ -386,7 +385,7 @@ def test_little_is_seen_where_nearly_all_is_known():
     state, angles = begin(head), postures(1, rng)[0]
     seen = matches(head, angles, room(300, rng), noise_px=NOISE_PX, rng=rng)
     exact = replace(state, covariance=1e-12 * state.covariance, joint_std_rad=1e-7)
-    assert [from_matches(each, seen, angles).status for each in (state, exact)] == [
+    assert [estimate_from_matches(each, seen, angles).status for each in (state, exact)] == [
         "seen",
         "little seen",
     ]

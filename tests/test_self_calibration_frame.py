@@ -10,8 +10,8 @@ from simulated_matches import matches, room, turn_error_deg
 from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
-from vergence.self_calibration.frame import from_matches
-from vergence.self_calibration.state import FrameEstimate, SelfCalibration
+from vergence.self_calibration.frame import estimate_from_matches
+from vergence.self_calibration.state import FilterState, FrameEstimate
 from vergence.vision.matching.scene_features import Matches
 
 
@@ -30,7 +30,7 @@ def some(seen: Matches, which: slice | np.ndarray) -> Matches:
     return Matches(seen.left[which], seen.right[which], seen.covariance[which])
 
 
-def left_open(state: SelfCalibration, found: FrameEstimate) -> Array:
+def left_open(state: FilterState, found: FrameEstimate) -> Array:
     """Return by how much less uncertain readings (4,) are than they were: 1 is not at all."""
     return np.sqrt(np.diag(found.covariance))[len(state.names) :] / state.joint_std_rad
 
@@ -40,7 +40,7 @@ def test_a_geometry_that_a_seventh_of_the_matches_fits_is_believed():
     errors_deg = []
     for seed in range(6):
         head, angles, readings, seen = seen_at_random(seed, outliers=0.86)
-        found = from_matches(begin(head), seen, readings)
+        found = estimate_from_matches(begin(head), seen, readings)
         assert found.status == "seen"
         errors_deg.append(turn_error_deg(found.head, found.joints, head, angles))
     assert np.median(errors_deg) < 0.04  # by readings alone: 0.27
@@ -51,7 +51,7 @@ def test_a_geometry_that_one_of_twenty_matches_fits_is_not_believed(seed: int):
     """Hundred matches fit, by chance or not; head, readings and their covariance stay."""
     head, _, readings, seen = seen_at_random(seed, outliers=0.95)
     state = begin(head)
-    found = from_matches(state, seen, readings)
+    found = estimate_from_matches(state, seen, readings)
     assert (found.status, found.evidence) == ("little seen", None)
     assert found.head is head
     np.testing.assert_array_equal(found.joints, readings)
@@ -73,7 +73,7 @@ def test_what_are_no_matches_is_refused(change: dict, said: str):
         for name, value in change.items()
     }
     with pytest.raises(VergenceError, match=said):
-        from_matches(begin(head), replace(seen, **whole), readings)
+        estimate_from_matches(begin(head), replace(seen, **whole), readings)
 
 
 @pytest.mark.parametrize(
@@ -82,7 +82,7 @@ def test_what_are_no_matches_is_refused(change: dict, said: str):
 def test_readings_of_matches_are_those_of_the_head(joints: list[float], said: str):
     head, _, _, seen = seen_at_random(0)
     with pytest.raises(VergenceError, match=said):
-        from_matches(begin(head), seen, np.array(joints))
+        estimate_from_matches(begin(head), seen, np.array(joints))
 
 
 def test_the_fewer_matches_there_are_the_nearer_are_readings_to_the_prior():
@@ -90,7 +90,7 @@ def test_the_fewer_matches_there_are_the_nearer_are_readings_to_the_prior():
     head, _, readings, seen = seen_at_random(0)
     state, open_before = begin(head), np.zeros(4)
     for count in (1000, 100, 25, 12, 11):
-        found = from_matches(state, some(seen, slice(count)), readings)
+        found = estimate_from_matches(state, some(seen, slice(count)), readings)
         now_open = left_open(state, found)
         assert (now_open > open_before).all()
         assert (found.status == "seen") == (count >= 12)
@@ -105,7 +105,9 @@ def test_a_small_part_of_the_image_tells_of_tilt_but_not_of_vergence(seed: int):
     head, _, readings, seen = seen_at_random(seed)
     state = begin(head)
     patch = (np.abs(seen.left - [320, 240]) < 25).all(axis=1)
-    whole, part = (from_matches(state, each, readings) for each in (seen, some(seen, patch)))
+    whole, part = (
+        estimate_from_matches(state, each, readings) for each in (seen, some(seen, patch))
+    )
     tilts, pans = [1, 3], [0, 2]
     by_whole, by_part = left_open(state, whole), left_open(state, part)
     np.testing.assert_allclose(by_part[tilts], by_whole[tilts], rtol=0.03)
@@ -119,7 +121,9 @@ def test_a_frame_shows_enough_from_one_and_a_half_degrees_of_freedom_on():
     state, shown, statuses = begin(head), [], []
     state = replace(state, covariance=1e-12 * state.covariance)
     for std_rad in np.geomspace(1e-5, 1e-3, 25):
-        found = from_matches(replace(state, joint_std_rad=std_rad), some(seen, slice(60)), angles)
+        found = estimate_from_matches(
+            replace(state, joint_std_rad=std_rad), some(seen, slice(60)), angles
+        )
         assert found.evidence is not None
         shown.append(np.trace(found.covariance @ found.evidence.information))
         statuses.append(found.status)

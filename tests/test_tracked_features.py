@@ -21,14 +21,19 @@ from vergence.geometry.camera import pinhole, unproject
 from vergence.geometry.parameters import boxminus, boxplus, parameter_names
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
-from vergence.self_calibration.frame import from_matches
-from vergence.self_calibration.keyframe import TURNED_RAD, worth_tracking
-from vergence.self_calibration.learning import learn, learn_tracked
-from vergence.self_calibration.match_noise import Recurrence
-from vergence.self_calibration.motion_evidence import by_each_eye, prior_information, with_motion
+from vergence.self_calibration.filter import update, update_with_tracked
+from vergence.self_calibration.frame import estimate_from_matches
+from vergence.self_calibration.kalman import predict
+from vergence.self_calibration.keyframe import (
+    TURNED_RAD,
+    add_tracked,
+    augmented_covariance,
+    estimate_from_tracked,
+    worth_tracking,
+)
+from vergence.self_calibration.match_noise import RevisitCorrelation
 from vergence.self_calibration.residuals import motion_coordinates, motion_residuals
-from vergence.self_calibration.state import FrameEstimate, SelfCalibration, TrackedFeatures
-from vergence.self_calibration.update import drifted
+from vergence.self_calibration.state import FilterState, FrameEstimate, TrackedFeatures
 from vergence.stereo.extrinsics import camera_poses
 from vergence.vision.matching.scene_features import Matches
 
@@ -88,7 +93,7 @@ def learned_while_moving(truth, state, angles, points, rng, *, track=True, noise
     at = {}
     for now in angles:
         readings = now + rng.normal(0, JOINT_STD_RAD, len(now))
-        seen = from_matches(
+        seen = estimate_from_matches(
             state, matches(truth, now, points, noise_px=noise_px, rng=rng), readings
         )
         key, features = state.keyframe, None
@@ -96,7 +101,7 @@ def learned_while_moving(truth, state, angles, points, rng, *, track=True, noise
             features = tracked_features(
                 truth, key, then=at["key"], now=now, points=points, noise_px=noise_px, rng=rng
             )
-        state = drifted(learn_tracked(state, seen, features), 0.5)
+        state = predict(update_with_tracked(state, seen, features), 0.5)
         if key is None or state.keyframe is None or state.keyframe.pixels is not key.pixels:
             at["key"] = now
     return state
@@ -130,13 +135,13 @@ def test_features_are_tracked_to_postures_that_are_far_enough_and_new():
 
     def seen_at(readings):
         found = matches(head, readings, points, noise_px=NOISE_PX, rng=rng)
-        return from_matches(state, found, readings)
+        return estimate_from_matches(state, found, readings)
 
     state = begin(head)
-    state = drifted(learn(state, seen_at(there)), 0.5)
+    state = predict(update(state, seen_at(there)), 0.5)
     for turned, stood, worth in ((0.5, 0.0, False), (1.5, 0.0, True), (1.5, 1.5, False)):
-        before = Recurrence(there[None] + stood * TURNED_RAD, np.zeros(1), unit, 0.95, 1.0)
-        state = replace(state, recurrence=before)
+        before = RevisitCorrelation(there[None] + stood * TURNED_RAD, np.zeros(1), unit, 0.95, 1.0)
+        state = replace(state, revisits=before)
         assert worth_tracking(state, seen_at(there + turned * TURNED_RAD)) == worth
 
 
@@ -156,7 +161,7 @@ def test_stated_covariances_are_true_where_features_are_tracked():
     assert 0.45 < of_head / degrees < 1.3
 
 
-def turned_once(wrong_rad: float = 0.0) -> tuple[SelfCalibration, FrameEstimate, TrackedFeatures]:
+def turned_once(wrong_rad: float = 0.0) -> tuple[FilterState, FrameEstimate, TrackedFeatures]:
     """Return the state after a frame, the next one, and features that were tracked to it.
 
     These are where they would be if both eyes had turned by some more.
@@ -164,10 +169,12 @@ def turned_once(wrong_rad: float = 0.0) -> tuple[SelfCalibration, FrameEstimate,
     head, rng = head_of(0), np.random.default_rng(0)
     points, state = room(400, rng), begin(head)
     then, now = np.zeros(4), np.array([0.2, 0.0, 0.2, 0.0])
-    seen = from_matches(state, matches(head, then, points, noise_px=NOISE_PX, rng=rng), then)
-    state = drifted(learn(state, seen), 0.5)
+    seen = estimate_from_matches(
+        state, matches(head, then, points, noise_px=NOISE_PX, rng=rng), then
+    )
+    state = predict(update(state, seen), 0.5)
     assert state.keyframe is not None
-    seen = from_matches(state, matches(head, now, points, noise_px=NOISE_PX, rng=rng), now)
+    seen = estimate_from_matches(state, matches(head, now, points, noise_px=NOISE_PX, rng=rng), now)
     tracked = tracked_features(
         head,
         state.keyframe,
@@ -184,7 +191,7 @@ def test_a_feature_of_unknown_depth_leaves_what_the_others_tell():
     state, seen, tracked = turned_once()
     left, right = (np.append(np.nan, depths[1:]) for depths in tracked.depths_m)
     lost = replace(tracked, depths_m=(left, right))
-    whole, without, nothing = (learn_tracked(state, seen, t) for t in (tracked, lost, None))
+    whole, without, nothing = (update_with_tracked(state, seen, t) for t in (tracked, lost, None))
     stds = [np.sqrt(np.diag(each.covariance)) for each in (whole, without, nothing)]
     np.testing.assert_allclose(stds[1], stds[0], rtol=0.02)
     assert (stds[2] > 1.2 * stds[0]).any()
@@ -192,7 +199,7 @@ def test_a_feature_of_unknown_depth_leaves_what_the_others_tell():
 
 def test_features_that_moved_by_themselves_teach_nothing():
     state, seen, wrong = turned_once(np.radians(3))
-    without, with_wrong = (learn_tracked(state, seen, each) for each in (None, wrong))
+    without, with_wrong = (update_with_tracked(state, seen, each) for each in (None, wrong))
     np.testing.assert_array_equal(with_wrong.covariance, without.covariance)
 
 
@@ -201,17 +208,19 @@ def test_depths_that_are_all_wrong_alike_do_not_move_the_cameras():
     head, rng = head_of(0), np.random.default_rng(0)
     points, state = room(400, rng), begin(head)
     then, now = np.zeros(4), np.array([0.2, 0.1, 0.2, 0.1])
-    seen = from_matches(state, matches(head, then, points, noise_px=NOISE_PX, rng=rng), then)
-    state = drifted(learn(state, seen), 0.5)
+    seen = estimate_from_matches(
+        state, matches(head, then, points, noise_px=NOISE_PX, rng=rng), then
+    )
+    state = predict(update(state, seen), 0.5)
     assert state.keyframe is not None
-    seen = from_matches(state, matches(head, now, points, noise_px=NOISE_PX, rng=rng), now)
+    seen = estimate_from_matches(state, matches(head, now, points, noise_px=NOISE_PX, rng=rng), now)
     right = tracked_features(
         head, state.keyframe, then=then, now=now, points=points, noise_px=NOISE_PX, rng=rng
     )
     near, far = (
         replace(right, depths_m=(s * right.depths_m[0], s * right.depths_m[1])) for s in (0.9, 1.1)
     )
-    ends = [learn_tracked(state, seen, each).head for each in (near, far)]
+    ends = [update_with_tracked(state, seen, each).head for each in (near, far)]
     moved = boxminus(ends[1], ends[0])
     shifts_m = [moved[n] for n in state.names if n.endswith(("tx", "ty", "tz"))]
     assert max(np.abs(shifts_m)) < 2e-4
@@ -227,17 +236,17 @@ def test_an_eye_that_sees_alone_still_tells_how_far_it_has_turned():
         then, now = np.zeros(4), rng.uniform(-0.2, 0.2, 4)
         key, readings = (at + rng.normal(0, JOINT_STD_RAD, 4) for at in (then, now))
         known = matches(truth, then, points, noise_px=NOISE_PX, rng=rng)
-        state = drifted(learn(state, from_matches(state, known, key)), 0.5)
+        state = predict(update(state, estimate_from_matches(state, known, key)), 0.5)
         assert state.keyframe is not None
         nothing = matches(truth, now, np.empty((0, 3)), noise_px=NOISE_PX, rng=rng)
-        seen = from_matches(state, nothing, readings)
+        seen = estimate_from_matches(state, nothing, readings)
         both = tracked_features(
             truth, state.keyframe, then=then, now=now, points=points, noise_px=NOISE_PX, rng=rng
         )
         left = TrackedFeatures(
             both.readings, (both.matches[0], nothing), (both.depths_m[0], np.empty(0))
         )
-        found = by_each_eye(state, seen, left)
+        found = estimate_from_tracked(state, seen, left)
         np.testing.assert_allclose(found.joints[2:], readings[2:], atol=1e-12)
         C = found.covariance[len(state.names) :, len(state.names) :]
         stds = np.sqrt(np.diag(C)) / state.joint_std_rad
@@ -266,7 +275,7 @@ def test_any_number_of_features_tells_the_tilt_of_narrow_eyes(count):
         rays = unproject(head.camera(CAMERAS[0]).intrinsics, pixels)
         points = transform(camera_poses(head, then, cameras=CAMERAS)[0], rays * depths)
         known = matches(head, then, points, noise_px=NOISE_PX, rng=rng)
-        state = learn_tracked(state, from_matches(state, known, then), None)
+        state = update_with_tracked(state, estimate_from_matches(state, known, then), None)
         key = state.keyframe
         assert key is not None
         tracked = tracked_features(
@@ -280,8 +289,10 @@ def test_any_number_of_features_tells_the_tilt_of_narrow_eyes(count):
         at = (tracked.depths_m[0][which[0]], tracked.depths_m[1][which[1]])
         nothing = matches(head, now, np.empty((0, 3)), noise_px=NOISE_PX, rng=rng)
         readings = now + np.radians([0.2, -0.4, -0.2, 0.4])
-        seen = from_matches(state, nothing, readings)
-        found = by_each_eye(state, seen, TrackedFeatures(tracked.readings, (left, right), at))
+        seen = estimate_from_matches(state, nothing, readings)
+        found = estimate_from_tracked(
+            state, seen, TrackedFeatures(tracked.readings, (left, right), at)
+        )
         errors_rad.append(((found.joints - now) - (key.joints - then))[[1, 3]])
     assert np.degrees(np.sqrt(np.mean(np.square(errors_rad)))) < 0.15
 
@@ -291,14 +302,14 @@ def test_the_keyframe_outlives_frames_that_show_nothing():
     points, state, straight = room(400, rng), begin(head), np.zeros(4)
     for at in (points, np.empty((0, 3))):
         seen = matches(head, straight, at, noise_px=NOISE_PX, rng=rng)
-        state = drifted(learn(state, from_matches(state, seen, straight)), 0.5)
+        state = predict(update(state, estimate_from_matches(state, seen, straight)), 0.5)
         assert state.keyframe is not None
 
 
 def told(state, seen, tracked, inflation=1.0):
     """Return what features tell beside the prior, and the change (K,) that they make."""
-    prior = prior_information(state)
-    N, b = with_motion(state, seen, tracked, inflation, prior, np.zeros(len(prior)))
+    prior = augmented_covariance(state)
+    N, b = add_tracked(state, seen, tracked, inflation, prior, np.zeros(len(prior)))
     return np.linalg.norm(N - prior), np.linalg.solve(N, b) / np.sqrt(np.diag(np.linalg.inv(prior)))
 
 
@@ -323,6 +334,6 @@ def test_features_of_another_keyframe_and_few_ones_do_not_count():
         tuple(Matches(m.left[:11], m.right[:11], m.covariance[:11]) for m in tracked.matches),
         tuple(depths[:11] for depths in tracked.depths_m),
     )
-    without, *others = (learn_tracked(state, seen, each) for each in (None, other, few))
+    without, *others = (update_with_tracked(state, seen, each) for each in (None, other, few))
     for each in others:
         np.testing.assert_array_equal(each.covariance, without.covariance)

@@ -105,12 +105,12 @@ def self_calibrate(
     from vergence.data.description import DESCRIPTION, FRAMES
     from vergence.data.reader import load_dataset
     from vergence.geometry.head import load_head, save_head
-    from vergence.self_calibration.recorded import self_calibrate_dataset
+    from vergence.self_calibration.recorded import self_calibrate
 
     check_outputs(out, json, inputs=[dataset / DESCRIPTION, dataset / FRAMES, calibration])
     head, data = load_head(calibration), load_dataset(dataset)
     with progress_bars() as progress:
-        found = self_calibrate_dataset(data, head, changed=changed, progress=progress)
+        found = self_calibrate(data, head, changed=changed, progress=progress)
     save_head(found.head, out)
     report = self_calibration_report(found)
     report.write_json(json)

@@ -2,21 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from vergence.cli.report import Report, Table
-from vergence.errors import counted
-from vergence.self_calibration.recorded import (
-    OBSERVED,
-    LearnedParameter,
-    RecordedSelfCalibration,
-)
+from vergence.self_calibration.recorded import OBSERVED, SelfCalibrationResult
 from vergence.twin.evaluation import Evaluation
 
-MOST_NAMED = 6
-"""Largest number of unobserved parameters that a sentence names."""
 UNITS = {
     "px": (1.0, (".fx", ".fy", ".cx", ".cy")),
     "deg": (float(np.degrees(1.0)), (".rx", ".ry", ".rz", "_rad")),
@@ -24,11 +15,6 @@ UNITS = {
     "%": (100.0, ("gain",)),
 }
 """Printed unit of a parameter, the factor to it, and the ends of the parameters' names."""
-DEPTH_BY = {
-    "nothing": "by the calibration",
-    "little": "by the calibration and what may have moved since",
-    "anything": "by usual tolerances",
-}
 
 
 def evaluation_report(found: Evaluation) -> Report:
@@ -52,7 +38,7 @@ def evaluation_report(found: Evaluation) -> Report:
     return Report("Errors of a calibration", parts, found)
 
 
-def self_calibration_report(found: RecordedSelfCalibration) -> Report:
+def self_calibration_report(found: SelfCalibrationResult) -> Report:
     """Report what a recording showed of each parameter, and of the depth of a point."""
     rows = []
     for each in found.parameters:
@@ -81,7 +67,7 @@ def self_calibration_report(found: RecordedSelfCalibration) -> Report:
         },
         "findings": [vars(each) for each in found.findings],
     }
-    return Report("Change since the calibration", (*table, *sentences(found)), data)
+    return Report("Change since the calibration", (*table, *found.summary().splitlines()), data)
 
 
 def _unit(name: str) -> tuple[str, float]:
@@ -90,32 +76,3 @@ def _unit(name: str) -> tuple[str, float]:
         if name.endswith(ends):
             return unit, factor
     return "", 1.0
-
-
-def sentences(found: RecordedSelfCalibration) -> list[str]:
-    """Return sentences about the whole recording, warnings last."""
-    source = "" if found.learned else " (assumed)"
-    lines = [
-        f"{counted(found.frames, 'frame')}: {found.seen} determined the relative pose of the "
-        f"cameras, and {found.learned} updated the parameters; noise of the readings "
-        f"{np.degrees(found.joint_std_rad):.3f} degrees{source}."
-    ]
-    hidden = [each for each in found.parameters if each.verdict == "not observed"]
-    if len(hidden) == len(found.parameters):
-        lines.append("Nothing that persists is known better than before.")
-    elif hidden:
-        lines.append(f"Not observed, as before: {_named(hidden)}.")
-    if found.depth_std_m is not None:
-        before, after = (1e3 * std for std in found.depth_std_m)
-        learned = f", {after:.3g} mm by what was learned" if found.learned else ""
-        lines.append(
-            f"Depth of a point 1 m straight ahead: std {before:.3g} mm "
-            f"{DEPTH_BY[found.changed]}{learned}."
-        )
-    return [*lines, *(f"Warning: {each}" for each in found.findings)]
-
-
-def _named(parameters: Sequence[LearnedParameter]) -> str:
-    names = [each.name for each in parameters[:MOST_NAMED]]
-    more = len(parameters) - MOST_NAMED
-    return ", ".join(names) + (f" and {more} more" if more > 0 else "")

@@ -28,7 +28,7 @@ Scene = Literal["room", "sparse", "moving"]
 """As in `twin.scene.room`, whose import needs OpenGL."""
 OptionalScene = Annotated[Scene | None, _ABSENT]
 Geometry = Literal["joints", "seen"]
-"""As in `self_calibration.sequence`, whose import needs numpy."""
+"""As in `self_calibration.calibrator`, whose import needs numpy."""
 
 NUMBERS = ConstructorRegistry()
 """Rules by which tyro parses numbers."""

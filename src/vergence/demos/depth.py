@@ -19,6 +19,7 @@ from vergence.demos.experiment import LOOKING
 from vergence.gaze.commands import EYE_READINGS
 from vergence.geometry.head import HeadCalibration, pair_names
 from vergence.progress import Progress
+from vergence.self_calibration.calibrator import Geometry, initial_visual_geometry, update_geometry
 from vergence.self_calibration.dense_pairs import (
     DepthSequence,
     PairDepth,
@@ -26,7 +27,6 @@ from vergence.self_calibration.dense_pairs import (
     depth_by,
     depth_of,
 )
-from vergence.self_calibration.sequence import Geometry, initial_seen_geometry, update_geometry
 from vergence.twin.calibration_sequence import straight_neck
 from vergence.twin.head import Twin
 from vergence.twin.looking_around import learn_by_looking
@@ -101,7 +101,7 @@ def _moments(
     left, right = pair_names(twin.truth)
     geometry = None
     if looks is not None:
-        geometry = learn_by_looking(twin, initial_seen_geometry(looks), run=LOOKING)
+        geometry = learn_by_looking(twin, initial_visual_geometry(looks), run=LOOKING)
     twin.restart(1)
     for k in range(pairs):
         posture = straight_neck(eye_angles("divergent", np.array(STEP_S * k)))

@@ -15,11 +15,7 @@ from vergence.errors import VergenceError, check_seed
 from vergence.files import results_folder, write_json
 from vergence.gaze.state import GazeSettings
 from vergence.progress import Progress
-from vergence.self_calibration.sequence import (
-    Geometry,
-    SeenGeometry,
-    initial_seen_geometry,
-)
+from vergence.self_calibration.calibrator import Geometry, VisualGeometry, initial_visual_geometry
 from vergence.twin.head import Twin
 from vergence.twin.looking_around import learn_by_looking
 from vergence.twin.profile import ErrorProfile
@@ -80,12 +76,12 @@ def calibrated_twin(
         yield twin, replace(settings, geometry=experiment.geometry)
 
 
-def initial_geometry(twin: Twin, settings: GazeSettings) -> SeenGeometry | None:
+def initial_geometry(twin: Twin, settings: GazeSettings) -> VisualGeometry | None:
     """Return the geometry with which a demo begins; None: the gaze goes by the joints."""
     if settings.geometry == "joints":
         return None
     left, right = settings.wide
-    geometry = initial_seen_geometry(settings.calibration, cameras=(left, right))
+    geometry = initial_visual_geometry(settings.calibration, cameras=(left, right))
     return learn_by_looking(twin, geometry, run=LOOKING)
 
 

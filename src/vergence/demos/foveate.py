@@ -29,7 +29,7 @@ from vergence.files import markdown_table
 from vergence.gaze.controller import run_gaze
 from vergence.gaze.state import GazePhase, GazeSettings, GazeState, initial_gaze_state
 from vergence.progress import Progress, silent
-from vergence.self_calibration.sequence import SeenGeometry
+from vergence.self_calibration.calibrator import VisualGeometry
 from vergence.twin.head import Twin
 from vergence.twin.simulated_robot import FRAME_S, SimulatedHead, foveal_errors, unoccluded
 from vergence.viewer.plots.foveation import save_foveation
@@ -77,7 +77,7 @@ class Trial:
     """(N, 2) true distance of the object from the centres of the left and right narrow image."""
     lost: bool
     """Whether the object was not found in both narrow images at the end."""
-    geometry: SeenGeometry | None = None
+    geometry: VisualGeometry | None = None
     """What was learned until then."""
 
     @property
@@ -123,7 +123,7 @@ def run_trial(
     run: int,
     target_head: Array,
     *,
-    geometry: SeenGeometry | None = None,
+    geometry: VisualGeometry | None = None,
     watch: Callable[[GazeState, Frame | None], None] = lambda state, frame: None,
 ) -> Trial:
     """Run the gaze controller for half a second on an object that appears.

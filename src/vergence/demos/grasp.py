@@ -34,7 +34,7 @@ from vergence.gaze.reaching import (
     run_reach,
 )
 from vergence.progress import Progress, silent
-from vergence.self_calibration.sequence import SeenGeometry
+from vergence.self_calibration.calibrator import VisualGeometry
 from vergence.twin.hand import SimulatedHand, arm_mounting_error
 from vergence.twin.head import Twin
 from vergence.twin.simulated_robot import SimulatedHead
@@ -69,7 +69,7 @@ class Trial:
     """Distance from it of a hand that moves by its encoders to where the eyes see the object."""
     samples: tuple[DepthSample, ...]
     """Depth errors of the eyes, frame by frame until the fingers began to close."""
-    geometry: SeenGeometry | None = None
+    geometry: VisualGeometry | None = None
     """What was learned until the end."""
 
 
@@ -120,7 +120,7 @@ def run_trial(
     path_head: Callable[[float], Array],
     T_body_arm: Array,
     *,
-    geometry: SeenGeometry | None = None,
+    geometry: VisualGeometry | None = None,
     watch: Callable[[ReachState, Frame | None], None] = lambda state, frame: None,
 ) -> Trial:
     """Hold out one object until the hand has closed or the time is over.

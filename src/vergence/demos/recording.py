@@ -104,7 +104,7 @@ class _Recorder:
         if not self._count:
             log_gaze_styles(rec, head, twin.T_world_lbase() @ inverse(T_body_lbase))
             if state.geometry is not None:
-                log_seen_styles(rec, head, state.geometry.known)
+                log_seen_styles(rec, head, state.geometry.state)
         poses = twin.body_poses()
         hidden = poses["object"][2, 3] < 0  # below the floor
         where = np.full(3, np.nan) if hidden else twin.true_object()

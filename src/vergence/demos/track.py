@@ -24,7 +24,7 @@ from vergence.errors import VergenceError
 from vergence.gaze.controller import run_gaze
 from vergence.gaze.state import GazeSettings, GazeState, initial_gaze_state
 from vergence.progress import Progress, silent
-from vergence.self_calibration.sequence import SeenGeometry
+from vergence.self_calibration.calibrator import VisualGeometry
 from vergence.stereo.triangulation import in_body, triangulate_at
 from vergence.twin.head import Twin
 from vergence.twin.simulated_robot import FRAME_S, SimulatedHead, foveal_errors, in_all_foveas
@@ -108,7 +108,7 @@ def follow(
     seconds: float,
     *,
     hidden_s: float | None = None,
-    geometry: SeenGeometry | None = None,
+    geometry: VisualGeometry | None = None,
     watch: Callable[[GazeState, Frame | None], None] = lambda state, frame: None,
 ) -> Summary:
     """Run the gaze controller on a moving object and return the statistics.

@@ -19,8 +19,8 @@ from vergence.geometry.head import T_base_cam, T_body_base
 from vergence.geometry.kinematics import EYES, Side, checked_readings
 from vergence.geometry.neck import checked_neck_angles
 from vergence.geometry.se3 import inverse, transform
-from vergence.self_calibration.frame import locate_seen
-from vergence.self_calibration.sequence import update_geometry
+from vergence.self_calibration.calibrator import update_geometry
+from vergence.self_calibration.frame import locate_in_frame
 from vergence.stereo.uncertainty import locate_with_covariance
 from vergence.vision.detector import Detection, Detector
 
@@ -227,7 +227,7 @@ def update_track(settings: GazeSettings, state: GazeState, frame: Frame | None) 
     did not use.
 
     Raises:
-        VergenceError: see `self_calibration.sequence.update_geometry`.
+        VergenceError: see `self_calibration.calibrator.update_geometry`.
     """
     if state.geometry is None or frame is None or state.seen_s != frame.time_s:
         return state
@@ -244,7 +244,7 @@ def update_track(settings: GazeSettings, state: GazeState, frame: Frame | None) 
         left, right = (state.detections.get(name) for name in cameras)
         if left is None or right is None:
             continue
-        where = locate_seen(
+        where = locate_in_frame(
             seen,
             left=left.pixel[None],
             right=right.pixel[None],

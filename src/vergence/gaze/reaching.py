@@ -30,7 +30,7 @@ from vergence.gaze.observation import detect, last_pixel, posture_at_image, upda
 from vergence.gaze.state import GazePhase, GazeSettings, GazeState, initial_gaze_state
 from vergence.geometry.head import T_body_base
 from vergence.geometry.se3 import transform
-from vergence.self_calibration.sequence import SeenGeometry
+from vergence.self_calibration.calibrator import VisualGeometry
 from vergence.stereo.combination import locate_both
 from vergence.vision.detector import Detection, Detector
 from vergence.vision.sphere import sphere_detector
@@ -160,7 +160,7 @@ def initial_reach_state(
     reading: HandReading,
     time_s: float,
     *,
-    geometry: SeenGeometry | None = None,
+    geometry: VisualGeometry | None = None,
 ) -> ReachState:
     """Start at rest with the head at set points (j,) [rad]; see `initial_gaze_state`.
 

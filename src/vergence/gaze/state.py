@@ -18,7 +18,7 @@ from vergence.gaze.kalman import InnovationRatio, MotionModel, Track
 from vergence.geometry.head import HeadCalibration, cameras_of, main_camera
 from vergence.geometry.kinematics import EYES, Side
 from vergence.geometry.neck import NECK_JOINTS, check_named
-from vergence.self_calibration.sequence import Geometry, SeenGeometry, initial_seen_geometry
+from vergence.self_calibration.calibrator import Geometry, VisualGeometry, initial_visual_geometry
 from vergence.vision.detector import Detection, Detector, pixel_or_nan
 from vergence.vision.sphere import sphere_detector
 
@@ -232,7 +232,7 @@ class GazeState:
     """Observed over stated variance of the measurements of `track`."""
     aim_innovation_ratio: InnovationRatio = field(default_factory=InnovationRatio)
     """Observed over stated variance of the measurements of `aim`."""
-    geometry: SeenGeometry | None = None
+    geometry: VisualGeometry | None = None
     """Head geometry after the latest frame, if the settings' geometry is "seen"."""
     stuck: tuple[str, ...] = ()
     """Names of the joints that do not follow their commands."""
@@ -259,7 +259,7 @@ def initial_gaze_state(
     posture: ArrayLike,
     time_s: float,
     *,
-    geometry: SeenGeometry | None = None,
+    geometry: VisualGeometry | None = None,
 ) -> GazeState:
     """Start at rest at set points (j,) [rad], with the first object of the settings as target.
 
@@ -270,7 +270,7 @@ def initial_gaze_state(
         geometry = None
     elif geometry is None:
         left, right = settings.wide
-        geometry = initial_seen_geometry(settings.calibration, cameras=(left, right))
+        geometry = initial_visual_geometry(settings.calibration, cameras=(left, right))
     return GazeState(
         GazePhase.LOST,
         time_s,

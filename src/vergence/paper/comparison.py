@@ -9,17 +9,15 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.geometry.head import HeadCalibration
-from vergence.self_calibration.frame import from_matches, locate_seen, self_calibrate_frame
-from vergence.self_calibration.sequence import (
-    SeenGeometry,
-    after_frame,
-    initial_seen_geometry,
-    just_before,
+from vergence.self_calibration.calibrator import (
+    VisualGeometry,
+    initial_visual_geometry,
+    predict_geometry,
+    update_with_estimate,
 )
-from vergence.self_calibration.state import (
-    SelfCalibration,
-    initial_self_calibration,
-)
+from vergence.self_calibration.frame import estimate_frame, estimate_from_matches, locate_in_frame
+from vergence.self_calibration.prior import initial_state
+from vergence.self_calibration.state import FilterState
 from vergence.twin.head import Twin
 from vergence.twin.sensors import with_sensors
 from vergence.vision.sphere import STD_PX
@@ -35,9 +33,9 @@ _NECK = np.zeros(3)
 class Comparison:
     """Self-calibration in one figure, fed frame by frame."""
 
-    states: dict[str, SelfCalibration]
+    states: dict[str, FilterState]
     """What is known of the head, by method that does not learn."""
-    learning: SeenGeometry
+    learning: VisualGeometry
     """What is known of the head by the one that does; it changes with every frame."""
     points: dict[str, list[Array]]
     """Position (3,) [m] in frame lbase of each sample, by method; NaN: not located."""
@@ -49,24 +47,24 @@ class Comparison:
     ) -> None:
         """Locate the object in a sample, by its pixels (2,) in both images, at a time [s]."""
         left, right = self.states[SINGLE].cameras
-        first = self_calibrate_frame(self.states[SINGLE], images[left], images[right], joints)
-        self.learning = just_before(self.learning, t)
-        known = {LEARNED: self.learning.known, **self.states}
+        first = estimate_frame(self.states[SINGLE], images[left], images[right], joints)
+        self.learning = predict_geometry(self.learning, t)
+        known = {LEARNED: self.learning.state, **self.states}
         for method, state in known.items():
             seen = first
             if method != SINGLE:
-                seen = from_matches(state, first.matches, joints, images=first.images)
-            found = locate_seen(
+                seen = estimate_from_matches(state, first.matches, joints, images=first.images)
+            found = locate_in_frame(
                 seen, left=pixels[left][None], right=pixels[right][None], pixel_std_px=STD_PX
             )
             self.points[method].append(found.xyz[0])
             self.stds[method].append(float(np.sqrt(found.covariance[0, 0, 0])))
             if method == LEARNED:
-                self.learning = after_frame(self.learning, seen, _NECK)
+                self.learning = update_with_estimate(self.learning, seen, _NECK)
 
 
 def comparison(
-    head: HeadCalibration, twin: Twin, learning: SeenGeometry, *, floor: bool
+    head: HeadCalibration, twin: Twin, learning: VisualGeometry, *, floor: bool
 ) -> Comparison:
     """Return a comparison for a calibration, before its first sample.
 
@@ -76,9 +74,9 @@ def comparison(
         learning: what was learned so far.
         floor: whether to compare also with the true head, for evaluation.
     """
-    states = {SINGLE: before_looking(head).known}
+    states = {SINGLE: before_looking(head).state}
     if floor:
-        known = initial_self_calibration(with_sensors(twin.truth, twin.profile.joints))
+        known = initial_state(with_sensors(twin.truth, twin.profile.joints))
         states[FLOOR] = replace(known, covariance=known.covariance * _KNOWN)
     methods = (SINGLE, LEARNED, *states)
     return Comparison(
@@ -86,6 +84,6 @@ def comparison(
     )
 
 
-def before_looking(head: HeadCalibration) -> SeenGeometry:
+def before_looking(head: HeadCalibration) -> VisualGeometry:
     """Return what is known of a head before its first frame."""
-    return initial_seen_geometry(head, changed="nothing")  # the twin was calibrated for this
+    return initial_visual_geometry(head, changed="nothing")  # the twin was calibrated for this

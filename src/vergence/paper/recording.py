@@ -16,7 +16,7 @@ from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYE_JOINTS
 from vergence.paper.figures import Figure
 from vergence.paper.replay import Replay, as_plain
-from vergence.self_calibration.state import SelfCalibration
+from vergence.self_calibration.state import FilterState
 from vergence.twin.appearance import VisualGeom
 from vergence.viewer import style
 from vergence.viewer.frame import time_columns
@@ -36,7 +36,7 @@ def figure_recording(
     geoms: Sequence[VisualGeom],
     *,
     beside: str | None = None,
-    known: SelfCalibration | None = None,
+    known: FilterState | None = None,
 ) -> Iterator[rr.RecordingStream]:
     """Record a figure in a `with` block, as `recording_file` does.
 

@@ -24,8 +24,8 @@ from vergence.paper.replay import Replay, as_plain, chosen, replay, sample_times
 from vergence.paper.report import Reproduction, figure_report, report
 from vergence.parallel import process_count, run_tasks
 from vergence.progress import Progress, silent
-from vergence.self_calibration.learning import learned_head
-from vergence.self_calibration.sequence import SeenGeometry
+from vergence.self_calibration.calibrator import VisualGeometry
+from vergence.self_calibration.filter import learned_head
 from vergence.twin.appearance import visual_geoms
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import paper_calibration
@@ -137,10 +137,10 @@ def _replay_all(
 ) -> None:
     """Replay figures, and add each to what is done when its files are written."""
     lenses: list[Lens] = list(dict.fromkeys(figure.lens for figure in figures))
-    prepared: dict[Lens, tuple[HeadCalibration, SeenGeometry | None]] = {}
+    prepared: dict[Lens, tuple[HeadCalibration, VisualGeometry | None]] = {}
 
     def calibrated(
-        found: tuple[Lens, SequentialCalibration, HeadCalibration, SeenGeometry | None],
+        found: tuple[Lens, SequentialCalibration, HeadCalibration, VisualGeometry | None],
     ) -> None:
         lens, done.calibrations[lens], done.heads[lens], learning = found
         prepared[lens] = done.heads[lens], learning
@@ -157,7 +157,7 @@ def _replay_all(
 
 def _prepare(
     settings: _Settings, lens: Lens, progress: Progress
-) -> tuple[Lens, SequentialCalibration, HeadCalibration, SeenGeometry | None]:
+) -> tuple[Lens, SequentialCalibration, HeadCalibration, VisualGeometry | None]:
     """Calibrate the head with wide cameras of a lens, as the paper does, and write the result.
 
     The head is returned as the replays use it, with what its eyes have learned in looking around,
@@ -184,7 +184,7 @@ def _prepare(
 def _replay(
     settings: _Settings,
     head: HeadCalibration,
-    learning: SeenGeometry | None,
+    learning: VisualGeometry | None,
     figure: Figure,
     progress: Progress,
 ) -> Replay:
@@ -204,7 +204,7 @@ def _replay(
             progress=progress,
         )
     if compared is not None:
-        learned = learned_head(compared.learning.known)
+        learned = learned_head(compared.learning.state)
         save_head(learned, settings.out / f"fig{figure.number:02d}-learned.json")
     return done
 
@@ -260,7 +260,7 @@ def record_replay(
     """Replay one figure on rendered images, as `replay` does, and record it."""
     beside = known = None
     if compared is not None:
-        beside, known = LEARNED if method == PAPER else PAPER, compared.learning.known
+        beside, known = LEARNED if method == PAPER else PAPER, compared.learning.state
     geoms = visual_geoms(twin.model)
     with figure_recording(path, figure, calibration, geoms, beside=beside, known=known) as rec:
 
@@ -269,7 +269,7 @@ def record_replay(
             if compared is None or frame is None:
                 return
             now = compared.learning
-            log_learned(rec, calibration, now.known)
+            log_learned(rec, calibration, now.state)
             if now.latest is not None:
                 log_matches(rec, calibration, now.latest)
 

@@ -17,10 +17,10 @@ from vergence.geometry.camera import unproject
 from vergence.geometry.eye_motion import eye_motions, measured
 from vergence.geometry.head import HeadCalibration, reading_stds
 from vergence.geometry.se3 import pose
-from vergence.self_calibration.frame import locate_seen
+from vergence.self_calibration.calibrator import Geometry, initial_visual_geometry, update_geometry
+from vergence.self_calibration.frame import locate_in_frame
 from vergence.self_calibration.prior import JOINT_STD_RAD
 from vergence.self_calibration.robust_fit import FEWEST
-from vergence.self_calibration.sequence import Geometry, initial_seen_geometry, update_geometry
 from vergence.self_calibration.state import FrameEstimate
 from vergence.stereo.dense_depth import DenseDepth, dense_depth
 from vergence.stereo.rectification import RectifiedPair, rectify
@@ -82,7 +82,7 @@ def dataset_depth(
     chosen = [int(k) for k, error in zip(wanted, errors, strict=True) if error is None]
     if errors[0] is not None and not chosen:
         raise errors[0]
-    before = initial_seen_geometry(head) if geometry == "seen" else None
+    before = initial_visual_geometry(head) if geometry == "seen" else None
 
     def read() -> Iterator[tuple[StereoImages, PairDepth]]:
         known = before
@@ -112,7 +112,7 @@ def depth_of(moment: StereoImages, head: HeadCalibration) -> PairDepth:
     seen = moment.seen
     if seen is None:
         return depth_by(moment, head, moment.joints)
-    located = partial(locate_seen, seen, pixel_std_px=0.0)
+    located = partial(locate_in_frame, seen, pixel_std_px=0.0)
     return depth_by(moment, seen.head, seen.joints, located=located)
 
 

@@ -1,10 +1,7 @@
-"""One pair of images: joint angles and head as both the readings and the scene tell.
+"""Estimate of one frame: head and joint angles from readings, images and the filter's prior.
 
-Unknown are what the readings of this moment miss (joint noise) and the parameters of the head
-that persist, with their prior. Both are Gaussian, so that where the scene shows little the result
-is the prior, and the covariance says so. Matches may be wrong: the best of many hypotheses from
-three matches each starts a robust fit with a fixed scale. Where the eyes see too little in common,
-what each of them sees again since the keyframe still tells how far it has turned.
+The unknowns are the errors of the readings and the head parameters, both with Gaussian priors, so
+that a scene that shows little leaves the prior, and the covariance tells so.
 """
 
 from __future__ import annotations
@@ -17,74 +14,71 @@ from scipy.special import chdtri
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
+from vergence.estimation.linear import posterior
 from vergence.geometry.camera import check_image_fits
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import checked_readings
 from vergence.geometry.parameters import change_named
-from vergence.self_calibration.keyframe import track_keyframe
-from vergence.self_calibration.match_noise import Recurrence, recurrence_inflation
-from vergence.self_calibration.motion_evidence import by_each_eye
+from vergence.self_calibration.keyframe import estimate_from_tracked, track_keyframe
+from vergence.self_calibration.match_noise import frame_novelty, revisit_inflation
+from vergence.self_calibration.prior import UNCALIBRATED, tolerance_covariance
 from vergence.self_calibration.residuals import epipolar_residuals, pair_coordinates
 from vergence.self_calibration.robust_fit import (
     FEWEST,
     GATE,
     LINEAR_RAD,
-    MOST,
+    MAJORITY,
     LinearisedResiduals,
     robust_fit,
 )
-from vergence.self_calibration.state import Evidence, FrameEstimate, SelfCalibration
-from vergence.self_calibration.tolerances import UNCALIBRATED, tolerance_covariance
+from vergence.self_calibration.state import Evidence, FilterState, FrameEstimate, frame_covariance
 from vergence.stereo.extrinsics import T_rcam_lcam
 from vergence.stereo.uncertainty import LocatedPoints, locate_jointly
 from vergence.vision.exposure import checked_image, grey_levels
 from vergence.vision.matching.scene_features import Matches, match_scene
 
-_GATE_OF_FEW = 1e-3
-"""Probability by chance of a change that is not believed where most matches contradict each other;
-robust_fit.GATE where they do not."""
 _LEAST_SHARE = 0.1
-"""Share of the matches that must fit, for the same reason."""
-_LEAST_SHOWN = 0.01
-"""Share of a residual's normal in the right image, of usually 0.7, from which a match counts. Where
-the rays of a wrong match are nearest in the plane of a camera it is zero, and its noise with it."""
-_LITTLE = 1.5
-"""Degrees of freedom of the pair, of five, below which the scene showed too little."""
+"""Least share of inliers; wrong matches that agree by chance are fewer."""
+_LEAST_NORMAL = 0.01
+"""Least part of a residual's unit normal in the right image, usually 0.7: where the rays of a wrong
+match are nearest in the plane of a camera, residual and noise vanish together."""
+_LEAST_DEGREES = 1.5
+"""Observed degrees of freedom of the pair, of five, from which a frame is `seen`."""
 
 
-def self_calibrate_frame(
-    state: SelfCalibration, left: np.ndarray, right: np.ndarray, joints: ArrayLike
+def estimate_frame(
+    state: FilterState, left: np.ndarray, right: np.ndarray, joints: ArrayLike
 ) -> FrameEstimate:
-    """Return the head and its joint angles as a pair of images shows them.
+    """Estimate head and joint angles from a pair of images.
 
     Args:
-        state: what is known of the head; it is not changed, see `learning.learn`.
+        state: predicted for the frame; see `kalman.predict`.
         left: (H, W, 3) RGB or (H, W) grey image of the left camera, uint8.
-        right: the same moment in the right camera.
+        right: image of the right camera at the same moment.
         joints: (r,) readings [rad].
 
     Raises:
-        VergenceError: an image is missing, not uint8, or not of the calibration's size, or the
-            readings are not as many as the head has, not finite, or not in radians.
+        VergenceError: an image is missing, not uint8 or not of the calibration's size, or the
+            readings are not those of the head, not finite or not in radians.
     """
-    cameras = [state.head.camera(name).intrinsics for name in state.cameras]
-    left, right = (checked_image(image, "Self-calibration") for image in (left, right))
-    for name, lens, image in zip(state.cameras, cameras, (left, right), strict=True):
+    lenses = [state.head.camera(name).intrinsics for name in state.cameras]
+    images = [checked_image(image, "Self-calibration") for image in (left, right)]
+    for name, lens, image in zip(state.cameras, lenses, images, strict=True):
         check_image_fits(name, lens, image.shape, whose="the frame's")
     # A copy, since a driver may write its next readings into the same array.
     joints = _finite_readings(state, joints).copy()
-    left, right = grey_levels(left), grey_levels(right)
+    left, right = (grey_levels(image) for image in images)
     matches = match_scene(
         left,
         right,
-        left_camera=cameras[0],
-        right_camera=cameras[1],
+        left_camera=lenses[0],
+        right_camera=lenses[1],
         T_rcam_lcam=T_rcam_lcam(state.head, joints, cameras=state.cameras),
     )
-    return from_matches(state, matches, joints, images=(left, right))
+    return estimate_from_matches(state, matches, joints, images=(left, right))
 
 
-def _finite_readings(state: SelfCalibration, joints: ArrayLike) -> Array:
+def _finite_readings(state: FilterState, joints: ArrayLike) -> Array:
     joints = checked_readings(state.head.kinematics, joints, one_posture=True)
     if not np.isfinite(joints).all():
         raise VergenceError(
@@ -110,141 +104,139 @@ def _check_matches(matches: Matches) -> None:
         )
 
 
-def from_matches(
-    state: SelfCalibration,
+def estimate_from_matches(
+    state: FilterState,
     matches: Matches,
     joints: Array,
     *,
     images: tuple[np.ndarray, np.ndarray] | None = None,
     at_head: bool = False,
 ) -> FrameEstimate:
-    """Return the head and its joint angles as matches of a pair of images show them.
+    """Estimate head and joint angles from the matches of a pair of images.
+
+    Where both eyes together show too little, features of the keyframe are tracked in each eye.
 
     Args:
-        state: what is known of the head; it is not changed.
+        state: predicted for the frame.
         matches: of the pair.
         joints: (r,) readings [rad].
-        images: in which they were found; None: features are not tracked to here or from here.
-        at_head: whether residuals are linearised at the head as it is, which must be nearly right,
-            and not where the pair alone would have it.
+        images: grey images of the matches; None: features are not tracked to or from this frame.
+        at_head: whether residuals are linearised at the state's head and not at the frame's own.
 
     Raises:
         VergenceError: the matches are not N finite pixels in each image with their covariances, or
-            the readings are not as many as the head has, not finite, or not in radians.
+            the readings are not those of the head, not finite or not in radians.
     """
     joints = _finite_readings(state, joints)
     _check_matches(matches)
-    seen = replace(_from_matches(state, matches, joints, at_head), images=images)
-    found = track_keyframe(state, seen) if seen.evidence is None else None
-    return seen if found is None else by_each_eye(state, seen, found)
-
-
-def _from_matches(
-    state: SelfCalibration, matches: Matches, joints: Array, at_head: bool
-) -> FrameEstimate:
-    C = state.before_frame
-    unseen = FrameEstimate(
+    prior = FrameEstimate(
         head=state.head,
         cameras=state.cameras,
         joints=joints,
         readings=joints,
         names=state.names,
-        covariance=C,
+        covariance=frame_covariance(state),
         matches=matches,
         weights=np.zeros(len(matches.left)),
         status="little seen",
         evidence=None,
+        images=images,
     )
-    if len(matches.left) < FEWEST:
-        return unseen
-    z, weights, evidence = _fit(state, matches, joints, C, at_head)
-    if evidence.inliers < MOST * len(weights):
-        # Either much is matched wrongly, or the head is far from what is known.
-        P = len(state.names)
-        far = C.copy()
-        far[:P, :P] += tolerance_covariance(state.head, state.names, UNCALIBRATED)
-        _, other_weights, other = _fit(state, matches, joints, far)
-        if other.inliers > max(FEWEST, MOST * len(weights), 1.3 * evidence.inliers):
-            return replace(unseen, status="contradiction", weights=other_weights, evidence=other)
-    if evidence.inliers < max(FEWEST, _LEAST_SHARE * len(weights)):
-        return replace(unseen, weights=weights)
-    prior = np.linalg.inv(C)
-    posterior = np.linalg.inv(evidence.information + prior)
-    observed = float(np.trace(posterior @ evidence.information))
-    gate = GATE if evidence.inliers > MOST * len(weights) else _GATE_OF_FEW
-    if float(z @ prior @ z) > chdtri(max(observed, 1.0), gate):
-        return replace(unseen, status="contradiction", weights=weights, evidence=evidence)
-    vector = evidence.vector
-    if state.recurrence is not None:
-        information, vector = _beyond_known(state, state.recurrence, evidence, joints)
-        posterior = np.linalg.inv(information + prior)
-    head, now = _changed(state, joints, posterior @ vector)
-    return replace(
-        unseen,
-        head=head,
-        joints=now,
-        covariance=posterior,
+    estimate = _update_with_matches(state, prior, at_head=at_head)
+    tracked = track_keyframe(state, estimate) if estimate.evidence is None else None
+    return estimate if tracked is None else estimate_from_tracked(state, estimate, tracked)
+
+
+def _update_with_matches(
+    state: FilterState, prior: FrameEstimate, *, at_head: bool
+) -> FrameEstimate:
+    C, N, P = prior.covariance, len(prior.weights), len(state.names)
+    if FEWEST > N:
+        return prior
+    change, weights, evidence = _fit(state, prior, C, at_head=at_head)
+    if evidence.inliers < MAJORITY * N:
+        # Either most matches are wrong, or the head is far from its mean.
+        wide = C.copy()
+        wide[:P, :P] += tolerance_covariance(state.head, state.names, UNCALIBRATED)
+        _, wide_weights, wide_evidence = _fit(state, prior, wide)
+        if wide_evidence.inliers > max(FEWEST, MAJORITY * N):
+            return replace(
+                prior, status="contradiction", weights=wide_weights, evidence=wide_evidence
+            )
+    if evidence.inliers < max(FEWEST, _LEAST_SHARE * N):
+        return replace(prior, weights=weights)
+    posture = state.head.kinematics.factors * prior.joints
+    prior = replace(
+        prior,
         weights=weights,
-        status="seen" if observed > _LITTLE else "little seen",
         evidence=evidence,
+        novelty=frame_novelty(state.revisits, posture),
+    )
+    _, posterior_C = posterior(evidence.information, evidence.vector, C)
+    observed = float(np.trace(posterior_C @ evidence.information))
+    if float(change @ np.linalg.solve(C, change)) > chdtri(max(observed, 1.0), GATE):
+        return replace(prior, status="contradiction")
+    change, posterior_C = posterior(*_discount_revisits(state, prior, evidence), C)
+    head, joints = _changed(state, prior.joints, change)
+    return replace(
+        prior,
+        head=head,
+        joints=joints,
+        covariance=posterior_C,
+        status="seen" if observed > _LEAST_DEGREES else "little seen",
     )
 
 
 def _fit(
-    state: SelfCalibration, matches: Matches, joints: Array, C: Array, at_head: bool = False
+    state: FilterState, prior: FrameEstimate, C: Array, *, at_head: bool = False
 ) -> tuple[Array, Array, Evidence]:
-    """Return the change (K,) that matches and prior give, weights (N,), and what matches say."""
+    """Fit the matches with a prior covariance (K, K); see `robust_fit`."""
 
-    P, factors = len(state.names), state.head.kinematics.factors
+    P, matches = len(state.names), prior.matches
+    limits = np.append(np.full(P, np.inf), LINEAR_RAD / np.abs(state.head.kinematics.factors))
 
-    def linear(z: Array) -> bool:
-        return bool(np.abs(factors * z[P:]).max() < LINEAR_RAD)
-
-    def linearised(z: Array, some: np.ndarray) -> LinearisedResiduals:
-        those = Matches(matches.left[some], matches.right[some], matches.covariance[some])
-        return _whitened(state, *_changed(state, joints, z), those)
+    def linearise(change: Array, rows: np.ndarray) -> LinearisedResiduals:
+        those = Matches(matches.left[rows], matches.right[rows], matches.covariance[rows])
+        return _whiten(state, *_changed(state, prior.joints, change), those)
 
     return robust_fit(
-        linearised,
+        linearise,
         C,
-        pixels=matches.left,
+        pixels=prior.matches.left,
         size=state.head.camera(state.cameras[0]).intrinsics.size,
-        expected_design_effect=state.design_effect,
+        prior_design_effect=state.design_effect,
         fixed=P if at_head else 0,
-        linear=linear if state.settled else None,
+        linear_range=limits if state.settled else None,
     )
 
 
-def _beyond_known(
-    state: SelfCalibration, recurrence: Recurrence, says: Evidence, joints: Array
+def _discount_revisits(
+    state: FilterState, estimate: FrameEstimate, evidence: Evidence
 ) -> tuple[Array, Array]:
-    """Return what a frame says, (K, K) and (K,), with less of the head where it was seen like this.
+    """Return normal equations (K, K) and (K,) in which the head's part is inflated at a revisit.
 
-    Errors of matches that recur were learned with the head: they tell no more of it, as in
-    `update.updated`, and the head would else follow them from frame to frame. Given the head, they
-    tell of the frame's joints what they do.
+    Errors of matches that recur have been learned with the head, which would follow them from frame
+    to frame. Given the head, the frame determines its joints without inflation.
     """
-    N, b = says.information, says.vector
-    posture = state.head.kinematics.factors * joints
-    inflation, P = recurrence_inflation(recurrence, posture), len(state.names)
+    N, b, P = evidence.information, evidence.vector, len(state.names)
     of_joints = N[P:, P:] + np.diag(state.reading_std_rad**-2.0)
-    follows = np.linalg.solve(of_joints, N[P:, :P]).T
+    gain = np.linalg.solve(of_joints, N[P:, :P]).T
     information, vector = N.copy(), b.copy()
-    known = 1 - 1 / inflation
-    information[:P, :P] -= known * (N[:P, :P] - follows @ N[P:, :P])
-    vector[:P] -= known * (b[:P] - follows @ b[P:])
+    known = 1 - 1 / revisit_inflation(state.revisits, estimate.novelty)
+    information[:P, :P] -= known * (N[:P, :P] - gain @ N[P:, :P])
+    vector[:P] -= known * (b[:P] - gain @ b[P:])
     return information, vector
 
 
-def _changed(state: SelfCalibration, joints: Array, z: Array) -> tuple[HeadCalibration, Array]:
+def _changed(state: FilterState, joints: Array, change: Array) -> tuple[HeadCalibration, Array]:
     P = len(state.names)
-    return change_named(state.head, state.names, z[:P]), joints + z[P:]
+    return change_named(state.head, state.names, change[:P]), joints + change[P:]
 
 
-def _whitened(
-    state: SelfCalibration, head: HeadCalibration, joints: Array, matches: Matches
+def _whiten(
+    state: FilterState, head: HeadCalibration, joints: Array, matches: Matches
 ) -> LinearisedResiduals:
-    """Return residuals of N matches in their standard deviations; unknowns are P + r."""
+    """Compute epipolar residuals (N,) in their standard deviations, by P + r unknowns."""
     pair = pair_coordinates(head, state.names, joints, state.cameras)
     found = epipolar_residuals(pair.lenses, pair.T_second_first, matches.left, matches.right)
     A, n = found.by_coordinates, found.normals[:, 2:]
@@ -252,34 +244,36 @@ def _whitened(
     systematic = found.normals**2 @ np.repeat(np.square(state.systematic_px), 2)
     std = np.sqrt(random + systematic)
     good = np.isfinite(found.residuals) & np.isfinite(A).all(axis=1)
-    good &= (std > 0) & (np.linalg.norm(n, axis=1) > _LEAST_SHOWN)
-    y = np.where(good, found.residuals / std, 1e3)
-    A = np.where(good[:, None], A / std[:, None], 0.0)
+    good &= (std > 0) & (np.linalg.norm(n, axis=1) > _LEAST_NORMAL)
     share = float(np.median(systematic[good] / std[good] ** 2)) if good.any() else 0.0
-    return LinearisedResiduals(y, A, pair.by_unknowns, share)
+    return LinearisedResiduals(
+        residuals=np.where(good, found.residuals / std, 1e3),
+        by_coordinates=np.where(good[:, None], A / std[:, None], 0.0),
+        by_unknowns=pair.by_unknowns,
+        systematic=share,
+    )
 
 
-def locate_seen(
-    seen: FrameEstimate,
+def locate_in_frame(
+    estimate: FrameEstimate,
     *,
     left: Array,
     right: Array,
     pixel_std_px: ArrayLike,
     cameras: tuple[str, str] | None = None,
 ) -> LocatedPoints:
-    """Return where points are that both eyes see at the moment of a self-calibrated frame.
+    """Locate points that both eyes see, with the joint covariance of head and readings.
 
-    Pixels are (N, 2) in the left and the right camera, by default those that see the geometry; the
-    covariance has what the frame leaves open of the head and the joints. Other arguments and errors
-    are those of `uncertainty.locate`.
+    Pixels are (N, 2) in the left and the right camera, by default those of the estimate. Other
+    arguments and errors are those of `uncertainty.locate`.
     """
     return locate_jointly(
-        seen.head,
+        estimate.head,
         left=left,
         right=right,
-        joints=seen.joints,
-        parameters=seen.names,
-        covariance=seen.covariance,
+        joints=estimate.joints,
+        parameters=estimate.names,
+        covariance=estimate.covariance,
         pixel_std_px=pixel_std_px,
-        cameras=cameras or seen.cameras,
+        cameras=cameras or estimate.cameras,
     )

@@ -1,11 +1,10 @@
-"""Features tracked from an earlier frame, in each eye: how far it has turned.
+"""Features of a keyframe, tracked in each eye over time.
 
-Between the eyes, images tell how these stand to each other, but hardly focal lengths, gains and
-mountings, least of all while the eyes move in parallel. Over time, what an eye has turned shows all
-three. So one earlier frame, the keyframe, stays in the state with its joint angles; when the eyes
-have turned far enough, its features are found again in the present images, and the present frame
-takes its place. What has moved by itself, as most things a robot handles, contradicts the rest, and
-does not count (`motion_evidence`).
+Between the eyes, matches determine the relative pose; over time, the rotation of each eye also
+determines focal lengths, gains and mountings, in any motion. One keyframe stays in the state with
+its joint angles. When an eye has turned far enough, the keyframe's features are tracked into the
+present images, and the present frame becomes the keyframe. Features that moved by themselves fail
+the innovation gate.
 """
 
 from __future__ import annotations
@@ -13,62 +12,80 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import block_diag
+from scipy.special import chdtri
 
 from vergence.arrays import Array
+from vergence.estimation.linear import posterior
 from vergence.geometry.head import HeadCalibration
+from vergence.geometry.parameters import change_between, change_named
 from vergence.geometry.se3 import inverse
-from vergence.self_calibration.match_noise import recurrence_inflation
-from vergence.self_calibration.residuals import depths_of_matches
-from vergence.self_calibration.robust_fit import INLIER
+from vergence.self_calibration.match_noise import PRIOR_DESIGN_EFFECT, revisit_inflation
+from vergence.self_calibration.residuals import (
+    depths_of_matches,
+    motion_coordinates,
+    motion_residuals,
+)
+from vergence.self_calibration.robust_fit import (
+    FEWEST,
+    GATE,
+    INLIER,
+    LINEAR_RAD,
+    MAJORITY,
+    LinearisedResiduals,
+    robust_fit,
+)
 from vergence.self_calibration.state import (
+    Evidence,
+    FilterState,
     FrameEstimate,
     Keyframe,
-    SelfCalibration,
     TrackedFeatures,
+    frame_covariance,
 )
 from vergence.stereo.extrinsics import T_rcam_lcam, camera_poses
 from vergence.vision.matching.scene_features import track_features
 
 TURNED_RAD = float(np.radians(8.0))
-"""Least change of a reading since the keyframe, from which is learned: with 4 or 12 degrees depth
-is about as steady. Small turns show little, and of large ones a narrow camera would lose sight."""
+"""Change of a joint angle from which features are tracked; with 4 or 12 degrees learned depth is
+about as steady."""
 _LARGEST_INFLATION = 10.0
-"""Variance inflation of a frame, for its posture was seen before, from which no features are
-tracked: they would count for a tenth or less, and take longer than the estimate. On the same images
-learned depth spreads by up to 4 percent more."""
+"""Inflation of a revisited posture from which features are not tracked, which takes longer than the
+estimate; learned depth of rendered figures spreads by at most 4 % more."""
 _FEATURES = 150
-"""Features of a keyframe; with twice as many depth is no steadier, and tracking takes a third
-longer."""
+"""Features of a keyframe; with twice as many learned depth is no steadier."""
+_DEPTH_STD = 0.05
+"""Relative error of each depth; an assumption, since a camera moves by millimetres only."""
+_COMMON_DEPTH_STD = 1.0
+"""Relative error that all depths share: as good as unknown, since the parallax would otherwise
+determine the scale of the depths from hundredths of a pixel."""
+_LINEAR_DEPTH = 0.1
+"""Change of the common depth within which residuals are linear: to 0.005 px a pixel of parallax."""
+_MOTION_INFLATION = 2.5
+"""Covariance inflation of tracked features for errors that all motions share, such as those of the
+lens model; with it they leave the squared Mahalanobis distance of rendered figures unchanged."""
 
 
-def worth_tracking(state: SelfCalibration, seen: FrameEstimate) -> bool:
-    """Return whether features tracked to a frame would tell enough of the head.
-
-    The eyes have turned far enough since the keyframe, to a posture at which little was learned
-    before.
-    """
+def worth_tracking(state: FilterState, estimate: FrameEstimate) -> bool:
+    """Decide whether the eyes have turned far enough, to a posture that is new enough."""
     key = state.keyframe
-    if key is None or _turned_rad(key, seen) < TURNED_RAD:
+    if key is None or _turned_rad(key, estimate) < TURNED_RAD:
         return False
-    posture = state.head.kinematics.factors * seen.readings
-    return recurrence_inflation(state.recurrence, posture) < _LARGEST_INFLATION
+    return revisit_inflation(state.revisits, estimate.novelty) < _LARGEST_INFLATION
 
 
-def track_keyframe(state: SelfCalibration, seen: FrameEstimate) -> TrackedFeatures | None:
-    """Return where the features of the keyframe are in a frame.
-
-    None: there is no keyframe, or one of the two has no images.
-    """
+def track_keyframe(state: FilterState, estimate: FrameEstimate) -> TrackedFeatures | None:
+    """Find the features of the keyframe in a frame; None: there are no images of both."""
     key = state.keyframe
-    if key is None or key.images is None or seen.images is None:
+    if key is None or key.images is None or estimate.images is None:
         return None
-    moments = np.stack([key.joints, seen.joints])
+    moments = np.stack([key.joints, estimate.joints])
     then, now = camera_poses(state.head, moments, cameras=state.cameras)
     found = []
     for k, name in enumerate(state.cameras):
         matches, which = track_features(
             key.images[k],
-            seen.images[k],
+            estimate.images[k],
             camera=state.head.camera(name).intrinsics,
             T_now_before=inverse(now[k]) @ then[k],
             pixels=key.pixels[k],
@@ -80,44 +97,204 @@ def track_keyframe(state: SelfCalibration, seen: FrameEstimate) -> TrackedFeatur
 
 
 def next_keyframe(
-    state: SelfCalibration, seen: FrameEstimate, head: HeadCalibration, C: Array, change: Array
+    state: FilterState, estimate: FrameEstimate, *, head: HeadCalibration, change: Array, C: Array
 ) -> Keyframe:
-    """Return the keyframe after a frame: the one before, known better, or the frame itself.
+    """Update the keyframe after a frame, or replace it if the eyes have turned far enough.
 
     Args:
         state: before the frame.
-        seen: the frame.
+        estimate: the frame.
         head: after the frame.
-        C: (K, K) covariance of parameters, present readings and joints of the keyframe, if any.
-        change: (K,) of them.
+        change: (K,) update of the head, the frame's readings and the keyframe's joints, if any.
+        C: (K, K) its covariance.
     """
-    P, r = len(state.names), len(seen.readings)
+    P, r = len(state.names), len(estimate.readings)
+    head_rows, now, then = slice(P), slice(P, P + r), slice(P + r, None)
     key = state.keyframe
-    if key is not None and _turned_rad(key, seen) < TURNED_RAD:
+    if key is not None and _turned_rad(key, estimate) < TURNED_RAD:
         return replace(
             key,
-            joints=key.joints + change[P + r :],
-            covariance=C[P + r :, P + r :],
-            with_head=C[:P, P + r :],
+            joints=key.joints + change[then],
+            covariance=C[then, then],
+            cross_covariance=C[head_rows, then],
         )
-    joints = seen.readings + change[P : P + r]
-    fits = np.flatnonzero(seen.weights > INLIER)  # in rows of the image: from all of its parts
+    joints = estimate.readings + change[now]
+    fits = np.flatnonzero(estimate.weights > INLIER)  # in rows of the image: from all of its parts
     fits = fits[np.linspace(0, len(fits), min(len(fits), _FEATURES), endpoint=False, dtype=int)]
-    left, right = seen.matches.left[fits], seen.matches.right[fits]
+    left, right = estimate.matches.left[fits], estimate.matches.right[fits]
     lenses = [head.camera(name).intrinsics for name in state.cameras]
+    T = T_rcam_lcam(head, joints, cameras=state.cameras)
+    images = estimate.images
     return Keyframe(
-        readings=seen.readings,
+        readings=estimate.readings,
         # Copies, since a driver may write the next images into the same arrays.
-        images=None if seen.images is None else (seen.images[0].copy(), seen.images[1].copy()),
+        images=None if images is None else (images[0].copy(), images[1].copy()),
         joints=joints,
-        covariance=C[P : P + r, P : P + r],
-        with_head=C[:P, P : P + r],
+        covariance=C[now, now],
+        cross_covariance=C[head_rows, now],
         pixels=(left, right),
-        depths_m=depths_of_matches(
-            lenses, T_rcam_lcam(head, joints, cameras=state.cameras), left, right
-        ),
+        depths_m=depths_of_matches(lenses, T, left, right),
     )
 
 
-def _turned_rad(key: Keyframe, seen: FrameEstimate) -> float:
-    return float(np.abs(seen.head.kinematics.factors * (seen.readings - key.readings)).max())
+def _turned_rad(key: Keyframe, estimate: FrameEstimate) -> float:
+    factors = estimate.head.kinematics.factors
+    return float(np.abs(factors * (estimate.readings - key.readings)).max())
+
+
+def augmented_covariance(state: FilterState) -> Array:
+    """Return the covariance (K, K) of head, present readings and the keyframe's joints, if any."""
+    C, key = frame_covariance(state), state.keyframe
+    if key is None:
+        return C
+    cross = np.concatenate([key.cross_covariance, np.zeros_like(key.covariance)])
+    return np.block([[C, cross], [cross.T, key.covariance]])
+
+
+def estimate_from_tracked(
+    state: FilterState, estimate: FrameEstimate, tracked: TrackedFeatures
+) -> FrameEstimate:
+    """Estimate a frame from the features that each eye tracked alone.
+
+    An eye in which too few features fit keeps its readings.
+
+    Args:
+        state: predicted for the frame.
+        estimate: the frame as its prior.
+        tracked: features of the keyframe in it.
+    """
+    P, r = len(state.names), len(estimate.readings)
+    C = augmented_covariance(state)
+    nothing = np.zeros_like(C), np.zeros(len(C))
+    change, C = posterior(*add_tracked(state, estimate, tracked, *nothing), C)
+    if not change.any():
+        return estimate
+    return replace(
+        estimate,
+        head=change_named(state.head, state.names, change[:P]),
+        joints=estimate.readings + change[P : P + r],
+        covariance=C[: P + r, : P + r],
+    )
+
+
+def add_tracked(
+    state: FilterState,
+    estimate: FrameEstimate,
+    tracked: TrackedFeatures,
+    information: Array,
+    vector: Array,
+    *,
+    inflation: float = 1.0,
+    at: HeadCalibration | None = None,
+) -> tuple[Array, Array]:
+    """Add tracked features that pass the innovation gate to normal equations (K, K) and (K,).
+
+    The unknowns are those of `augmented_covariance`. Features of another keyframe do not count.
+    Residuals are linearised at a head or, without one, at the frame's own. The covariance inflation
+    is that of the frame.
+    """
+    if state.keyframe is None or not np.array_equal(tracked.readings, state.keyframe.readings):
+        return information, vector
+    prior, P = augmented_covariance(state), len(state.names)
+    for k in range(len(state.cameras)):
+        if len(tracked.depths_m[k]) < FEWEST:
+            continue
+        start, C = posterior(information, vector, prior)
+        if at is not None:  # joints given this head
+            to_head = change_between(at, state.head, state.names)
+            joints = start[P:] + C[P:, :P] @ np.linalg.solve(C[:P, :P], to_head - start[:P])
+            start = np.concatenate([to_head, joints])
+        fixed = 0 if at is None else P
+        change, weights, evidence = _fit(state, estimate, tracked, k, (start, C, fixed))
+        _, after = posterior(evidence.information, evidence.vector, C)
+        observed = float(np.trace(after @ evidence.information))
+        expected = float(change @ np.linalg.solve(C, change)) < chdtri(max(observed, 1.0), GATE)
+        if expected and evidence.inliers > MAJORITY * len(weights):
+            added = evidence.information / inflation
+            information = information + added
+            vector = vector + evidence.vector / inflation + added @ start
+    return information, vector
+
+
+def _fit(
+    state: FilterState,
+    estimate: FrameEstimate,
+    tracked: TrackedFeatures,
+    k: int,
+    prior: tuple[Array, Array, int],
+) -> tuple[Array, Array, Evidence]:
+    """Fit the features of camera k: change (K,) from the prior's mean, weights and measurement.
+
+    The prior has a mean (K,), a covariance (K, K), and the number of leading unknowns that stay at
+    the mean where residuals are linearised.
+    """
+    mean, C, fixed = prior
+    K, P = len(C), len(state.names)
+    joints = LINEAR_RAD / np.abs(np.tile(state.head.kinematics.factors, 2))
+    limits = np.concatenate([np.full(P, np.inf), joints, [_LINEAR_DEPTH]])
+
+    def linearise(z: Array, rows: np.ndarray) -> LinearisedResiduals:
+        found = _whiten(state, estimate, tracked, k, mean + z[:K], float(z[K]))
+        y, A = found.residuals[rows], found.by_coordinates[rows]
+        return replace(found, residuals=y, by_coordinates=A)
+
+    change, weights, evidence = robust_fit(
+        linearise,
+        np.asarray(block_diag(C, 1.0), float),
+        pixels=np.tile(tracked.matches[k].left, (2, 1)),
+        size=state.head.camera(state.cameras[k]).intrinsics.size,
+        prior_design_effect=PRIOR_DESIGN_EFFECT,
+        fixed=fixed,
+        linear_range=limits if state.settled else None,
+    )
+    # The common depth, with a standard deviation of one, is marginalised.
+    N, b = evidence.information / _MOTION_INFLATION, evidence.vector / _MOTION_INFLATION
+    gain = N[:K, K] / (N[K, K] + 1)
+    N, b = N[:K, :K] - np.outer(gain, N[K, :K]), b[:K] - gain * b[K]
+    return change[:K], weights, replace(evidence, information=N, vector=b)
+
+
+def _whiten(
+    state: FilterState,
+    estimate: FrameEstimate,
+    tracked: TrackedFeatures,
+    k: int,
+    change: Array,
+    depth_change: float,
+) -> LinearisedResiduals:
+    """Compute residuals (2 N,) in standard deviations, all u before all v, by K + 1 unknowns.
+
+    The last unknown is the change of all depths in standard deviations.
+    """
+    assert state.keyframe is not None
+    P, r = len(state.names), len(estimate.readings)
+    head = change_named(state.head, state.names, change[:P])
+    matches = tracked.matches[k]
+    now, then = estimate.readings + change[P : P + r], state.keyframe.joints + change[P + r :]
+    coordinates = motion_coordinates(head, state.names, then, now, state.cameras[k])
+    found = motion_residuals(
+        coordinates.lenses[0],
+        coordinates.T_second_first,
+        earlier=matches.left,
+        later=matches.right,
+        depths_m=tracked.depths_m[k] * np.exp(_COMMON_DEPTH_STD * depth_change),
+    )
+    A = np.concatenate(
+        [found.by_coordinates, _COMMON_DEPTH_STD * found.by_depth[..., None]], axis=2
+    )
+    every = np.concatenate([A, found.residuals[..., None]], axis=2)
+    good = np.asarray(np.isfinite(every).all(axis=(1, 2)))
+    by_depth = _DEPTH_STD * found.by_depth
+    C = state.match_scale**2 * matches.covariance + np.einsum("ni,nj->nij", by_depth, by_depth)
+    C[~good] = np.eye(2)
+    systematic = 2 * state.systematic_px[k] ** 2  # then and now, in two places of the image
+    random = float(np.median(C[:, 0, 0] + C[:, 1, 1])) / 2
+    whiten = np.linalg.inv(np.linalg.cholesky(C + systematic * np.eye(2)))
+    y = np.where(good[:, None], (whiten @ found.residuals[..., None])[..., 0], 1e3)
+    A = np.where(good[:, None, None], whiten @ A, 0.0)
+    return LinearisedResiduals(
+        residuals=y.T.reshape(-1),
+        by_coordinates=A.swapaxes(0, 1).reshape(-1, A.shape[-1]),
+        by_unknowns=np.asarray(block_diag(coordinates.by_unknowns, 1.0), float),
+        systematic=systematic / (systematic + random),
+    )

@@ -1,132 +1,108 @@
-"""How the matches of a pair of images err: how much, and how correlated in space and over time.
+"""Noise model of matches: their level, and their correlation in space and over time.
 
-The contrast of a window tells how well it can be matched, but not edges that are drawn or occluded
-alike in several windows. So errors are taken as independent from one block of the image to the next
-only. How much the correlation within inflates variances is measured from the residuals (the design
-effect of clusters). And eyes that come back to a posture see the same windows with the same errors
-again, however much later: how far these recur is measured too, and a frame counts by what it adds.
-
-Where lenses are not as their models, errors are smooth over the image and the same in all frames.
-Residuals hardly show them; how large they are is known from the calibration.
+Windows on one edge share their errors, so errors are independent only between blocks of the image;
+the design effect of clusters measures the variance inflation within them. A posture that is
+revisited shows the same windows with the same errors: a frame counts by what its posture adds.
+Systematic lens errors are smooth over the image and the same in all frames; their size comes from
+the calibration.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 
 from vergence.arrays import Array
 
 CUT = 4.685
-"""Tukey's biweight: residuals beyond so many standard deviations do not count."""
-_PRIOR_MATCHES = 30.0
-"""How many matches the expected noise counts for, beside the frame's own."""
-_BLOCK_PX = 64
-"""Errors of matches farther apart than this are taken as independent."""
-_BLOCKS = 16
-"""Most blocks along each axis; they are larger in images of more than 1024 px."""
-EXPECTED_MATCH_SCALE = 1.3
-"""Noise of matches, relative to what their windows tell, before anything is seen: that of windows
-with relief, the worst kind of surface that was measured."""
-EXPECTED_DESIGN_EFFECT = 2.0
-"""Before anything is seen; more than the 1.1 to 1.8 of a furnished room, for scenes with fewer and
-longer edges."""
-_PRIOR_BLOCKS = 10.0
-"""How many blocks the expected design effect counts for: a third of the 20 to 40 that a pair fills,
-of which the sum of squares alone is uncertain by a quarter."""
+"""Tuning constant of Tukey's biweight [standard deviations], 95 % efficient for normal errors."""
+PRIOR_MATCH_SCALE = 1.3
+"""Prior noise of matches over what their windows state: that of windows with relief, the worst kind
+of surface in rendered images."""
+_SCALE_MATCHES = 30.0
+"""Weight of the prior scale, as a number of matches; an assumption."""
+PRIOR_DESIGN_EFFECT = 2.0
+"""Prior variance inflation; 1.1 to 1.8 in a furnished room, more with fewer and longer edges."""
+_DESIGN_BLOCKS = 10.0
+"""Weight of the prior design effect, as a number of blocks: a third of those that a pair fills."""
 _LEAST_DESIGN_EFFECT = 0.5
-"""Below one by chance only: errors of neighbours do not cancel."""
+"""Values below one are chance, since errors of neighbours do not cancel."""
+_BLOCK_PX = 64
+"""Distance from which errors are independent; rendered correlations are below 0.03 there."""
+_BLOCKS = 16
+"""Most blocks along each axis; blocks are larger in images of more than 1024 px."""
 _UNKNOWNS = 5
-"""Degrees of freedom of a pair, which the residuals lack."""
-_SAME_WINDOWS_RAD, _SAME_SURFACES_RAD = np.radians([1.2, 13.0])
-"""Distances in the space of the readings over which the correlation of errors falls to 1 / e: one
-half as exp(-x) with the windows themselves, one as exp(-x^2) with what surrounds them. The second
-was fitted, by eye, to what the errors of matches do to the parameters of the head (two heads in the
-room and two in the sparse scene, both lenses, 800 pairs of images at known postures): correlations
-of 0.36 within 1 degree, 0.20 at 2.5, 0.14 at 5, 0.09 at 9, 0.07 at 13, 0.02 at 18, 0.01 at 22."""
+"""Degrees of freedom of a stereo pair."""
+_WINDOWS_RAD, _SURFACES_RAD = np.radians([1.2, 13.0])
+"""Scales of the correlation over the distance of postures, half exp(-x) and half exp(-x^2); fitted
+to 800 rendered pairs with correlations of 0.36 within 1 degree, 0.14 at 5, 0.07 at 13, 0.01 at 22."""
 _FADING_S = 600.0
-"""Time over which the correlation falls to 1 / e: an assumption, so that a head that has drifted
-is learned again. In nine rendered minutes errors recurred as within seconds. With two minutes
-instead of ten, squared Mahalanobis distances of what these had taught were 1.2 to 1.4 times as
-large. What all frames have taught fades as fast."""
+"""Decay time of the correlation, so that a drifted head is learned again; with 120 s the squared
+Mahalanobis distances of nine rendered minutes are 1.2 to 1.4 times as large."""
 _FIELD_PARTS = 15.0
-"""How many independent parts the systematic errors of a lens have in an image: functions of two
-coordinates up to the fourth degree, as their size is estimated with."""
-_EVERYWHERE = 0.005
-"""Correlation of errors at any two postures: rendered matches have mean residuals of some
-thousandths of a pixel that many frames hardly average out, and that pull in the same few directions
-for all heads and lenses. Measured between postures 20 to 60 degrees apart, with an uncertainty as
-large. With it the squared Mahalanobis distance of the 40 learned parameters is 33 in the mean of
-twenty cases (five heads in the room and in the sparse scene, both lenses, with all figures of a
-lens learned one after the other); with 0.01
-it was 25 in sixteen of these, and learned depth as steady within 6 percent."""
-_EXPECTED_RECURRENCE = 0.4
-"""Correlation of errors at the same posture, before it is measured."""
-_MOST_RECURRENCE = 0.95
-_PACE = 0.1
-"""Share of a frame in its running mean."""
-_NEAREST = 60
-"""Past frames that tell what is new: the nearest ones, so that few equations are solved."""
-_LEAST_NEW = 1e-3
-"""Share of a frame that is new at least."""
-_REMEMBERED = 2000
-"""Frames that are compared; older ones count as new again."""
+"""Independent parts of a lens's systematic error field: polynomials up to the fourth degree."""
+_FAR_CORRELATION = 0.005
+"""Correlation at distant postures; measured between 20 and 60 degrees, to a factor of two."""
+_PRIOR_CORRELATION, _MOST_CORRELATION = 0.4, 0.95
+"""Correlation at the same posture before it is measured, and its upper limit."""
+PACE = 0.1
+"""Weight of a frame in running means of noise parameters; an assumption."""
+_NEAREST, _REMEMBERED = 60, 2000
+"""Numbers of past postures that are compared with a new one, and that are kept; limits of cost."""
+_LEAST_NOVELTY = 1e-3
+"""Lower limit of the share of a frame that is new."""
 
 
 @dataclass(frozen=True, eq=False)
-class Recurrence:
-    """How far the errors of matches recur where the eyes stood before."""
+class RevisitCorrelation:
+    """Correlation of match errors between frames, by the distance of their postures."""
 
-    joints: Array
-    """(n, r) readings of past frames [rad], times `Kinematics.factors`."""
+    postures: Array
+    """(n, r) joint angles of past frames [rad]: readings times gear factors."""
     ages_s: Array
-    """(n,) how long ago they were."""
+    """(n,)"""
     blocks: np.ndarray
     """(n, B) float32 sums of their residuals in blocks, as unit vectors."""
-    correlation: float = _EXPECTED_RECURRENCE
-    """Correlation of the errors of two frames of the same posture."""
+    correlation: float = _PRIOR_CORRELATION
+    """Of the errors of two frames at the same posture."""
     independent: float = 0.0
-    """How many independent frames would tell as much as all of them, if those at different postures
-    had no errors in common."""
-    everywhere: float = _EVERYWHERE
-    """Correlation of the errors of two frames at any two postures."""
+    """Equivalent number of independent frames, apart from the far correlation."""
+    far_correlation: float = _FAR_CORRELATION
+    """Of the errors of two frames at any two postures."""
 
 
 def tukey_weights(y: Array) -> Array:
-    """Return the weights (N,) of residuals (N,) [standard deviations]: Tukey's biweight."""
+    """Compute the weights (N,) of Tukey's biweight for residuals (N,) [standard deviations]."""
     return np.maximum(1 - (y / CUT) ** 2, 0) ** 2
 
 
 def tukey_loss(y: Array) -> Array:
-    """Return the losses (N,) of residuals (N,): near their squares, and at most CUT^2 / 3."""
+    """Compute the losses (N,) of residuals (N,): their squares near 0, at most CUT^2 / 3."""
     return CUT**2 / 3 * (1 - np.maximum(1 - (y / CUT) ** 2, 0) ** 3)
 
 
 def noise_variance(y: Array) -> float:
-    """Return the variance of residuals relative to what was expected, with the prior's matches."""
+    """Estimate the variance of residuals (N,) over the expected one, with a prior of one."""
     inside = np.abs(y) < 3
-    # Of a normal distribution that is cut at 3 standard deviations, the variance is 0.973.
-    own = float((y[inside] ** 2).sum()) / 0.973
+    squares = float((y[inside] ** 2).sum()) / 0.973  # variance of a normal cut at 3 deviations
     degrees = max(float(inside.sum()) - _UNKNOWNS, 0.0)
-    return (own + _PRIOR_MATCHES) / (degrees + _PRIOR_MATCHES)
+    return (squares + _SCALE_MATCHES) / (degrees + _SCALE_MATCHES)
 
 
 def design_effect(
     y: Array, pixels: Array, size: tuple[int, int], expected: float
 ) -> tuple[float, Array]:
-    """Return the variance inflation by errors that neighbours share, and sums (B,) over blocks.
+    """Estimate the variance inflation by errors that neighbours share, and sums (B,) over blocks.
 
-    The variance of a mean of matches, relative to what independent errors of unit variance would
-    give: that of an M-estimate with errors that are independent from block to block (the sandwich
-    formula, for clusters). It also counts the tails, which the weights leave.
+    The sandwich formula of an M-estimate with clusters, relative to independent errors of unit
+    variance.
 
     Args:
         y: (N,) residuals [standard deviations].
-        pixels: (N, 2) where they are, in one of the images.
-        size: its width and height [px].
-        expected: the design effect that is expected; it counts for ten blocks.
+        pixels: (N, 2) their positions in an image.
+        size: width and height of the image [px].
+        expected: prior design effect.
     """
     column, row = np.clip(pixels // _block_px(size), 0, _BLOCKS - 1).astype(int).T
     block = row * _BLOCKS + column
@@ -135,127 +111,119 @@ def design_effect(
     sums = np.bincount(block, weights * y, _BLOCKS**2).astype(float)
     used = float((np.bincount(block, weights, _BLOCKS**2) > 0.5).sum())
     total, slope = float(weights.sum()), float(slopes.sum())
-    if used <= _UNKNOWNS or slope < 0.2 * total:  # too little is seen, or most does not fit
+    if used <= _UNKNOWNS or slope < 0.2 * total:  # too few blocks, or most residuals are outliers
         return expected, sums
-    own = float(sums @ sums) * total / slope**2 * used / (used - _UNKNOWNS)
-    mean = (used * own + _PRIOR_BLOCKS * expected) / (used + _PRIOR_BLOCKS)
+    measured = float(sums @ sums) * total / slope**2 * used / (used - _UNKNOWNS)
+    mean = (used * measured + _DESIGN_BLOCKS * expected) / (used + _DESIGN_BLOCKS)
     return max(mean, _LEAST_DESIGN_EFFECT), sums
 
 
-def systematic_inflation(weights: Array, share: float) -> float:
-    """Return what the systematic errors of lenses add to the variance inflation of residuals (N,).
-
-    Args:
-        weights: (N,) of the residuals.
-        share: of their variance that is systematic.
-    """
-    return share * float(weights.sum()) / _FIELD_PARTS
-
-
-def aged(before: Recurrence, elapsed_s: float) -> Recurrence:
-    """Return the recurrence some time later, after which a frame comes."""
-    independent = before.independent * float(np.exp(-elapsed_s / _FADING_S))
-    return replace(before, ages_s=before.ages_s + elapsed_s, independent=independent)
-
-
-def recurrence_inflation(before: Recurrence | None, joints: Array) -> float:
-    """Return the variance inflation of a frame, which shares errors with the frames before it.
-
-    Frames that would tell as much as n independent ones tell n / (1 + c (n - 1)), where the errors
-    of any two have a correlation of c. A frame counts by what it adds.
-
-    Args:
-        before: of the frames before, as old as they are now; None: there was none.
-        joints: (r,) readings of the frame [rad], times `Kinematics.factors`.
-    """
-    return 1.0 if before is None else _inflation(before, _added(before, tuple(joints)))
-
-
-def _inflation(before: Recurrence, added: float) -> float:
-    """Return the variance inflation of a frame by how many independent ones it adds."""
-    n, c = before.independent, before.everywhere
-    return (1 + c * (n - 1)) * (1 + c * (n + added - 1)) / (added * (1 - c))
-
-
-@lru_cache(maxsize=1)  # the estimate, the tracking and the filter ask for one and the same frame
-def _added(before: Recurrence, joints: tuple[float, ...]) -> float:
-    """Return how many independent frames a frame adds, whose posture was observed before.
-
-    The mean of frames with correlated errors (covariance K) tells as much as 1' K^-1 1 independent
-    ones; a frame adds the difference.
-    """
-    posture = np.array(joints)
-    near = np.argsort(_apart(before.joints, posture))[:_NEAREST]
-    at, ages_s = before.joints[near], before.ages_s[near]
-    between_s = np.abs(ages_s[:, None] - ages_s)
-    K = before.correlation * _kernel(_apart(at[:, None], at), between_s)
-    K[np.diag_indices(len(K))] = 1.0
-    k = before.correlation * _kernel(_apart(at, posture), ages_s)
-    weights = np.linalg.solve(K, k)
-    return float(max(1 - weights.sum(), _LEAST_NEW) ** 2 / (1 - weights @ k))
-
-
-def share_filled(blocks: np.ndarray, size: tuple[int, int]) -> float:
-    """Return the share of an image that features fill, by their sums (B,) over its blocks."""
+def filled_share(blocks: np.ndarray, size: tuple[int, int]) -> float:
+    """Compute the share of an image that features fill, from their sums (B,) over blocks."""
     across, down = np.ceil(np.array(size) / _block_px(size))
     return float(np.count_nonzero(blocks) / (across * down))
 
 
 def _block_px(size: tuple[int, int]) -> float:
-    """Return the side of a block [px] in an image of a width and a height."""
     return max(_BLOCK_PX, max(size) / _BLOCKS)
 
 
-def noise_degrees(before: Recurrence | None) -> float:
-    """Return from how many independent blocks the noise of the matches in past frames is estimated.
-
-    Less the unknowns, as degrees of freedom: few where features cover a small part of the images,
-    or frames repeat each other.
-    """
-    if before is None:
-        return 1.0
-    blocks = float(np.count_nonzero(before.blocks, axis=1).mean())
-    return max(before.independent * blocks - _UNKNOWNS, 1.0)
-
-
-def with_frame(
-    before: Recurrence | None, joints: Array, blocks: Array, systematic: float = 0.0
-) -> tuple[Recurrence, float]:
-    """Return the recurrence after a frame, and the frame's `recurrence_inflation`.
+def systematic_inflation(weights: Array, share: float) -> float:
+    """Compute the variance inflation by systematic lens errors.
 
     Args:
-        before: of the frames before, as old as they are now; None: there was none.
-        joints: (r,) readings [rad], times `Kinematics.factors`.
-        blocks: (B,) of `design_effect`.
-        systematic: share of the variance of what the frame tells that is by systematic errors.
+        weights: (N,) of the residuals.
+        share: systematic share of their variance.
     """
-    everywhere = systematic + (1 - systematic) * _EVERYWHERE
+    return share * float(weights.sum()) / _FIELD_PARTS
+
+
+def noise_degrees(revisits: RevisitCorrelation | None) -> float:
+    """Count the degrees of freedom from which the noise of past matches was estimated."""
+    if revisits is None:
+        return 1.0
+    blocks = float(np.count_nonzero(revisits.blocks, axis=1).mean())
+    return max(revisits.independent * blocks - _UNKNOWNS, 1.0)
+
+
+def predict_revisits(revisits: RevisitCorrelation, elapsed_s: float) -> RevisitCorrelation:
+    """Let the correlation with past frames fade."""
+    independent = revisits.independent * float(np.exp(-elapsed_s / _FADING_S))
+    return replace(revisits, ages_s=revisits.ages_s + elapsed_s, independent=independent)
+
+
+def frame_novelty(revisits: RevisitCorrelation | None, posture: Array) -> float:
+    """Compute how many independent frames a frame at a posture (r,) [rad] adds, from 0 to 1.
+
+    The mean of frames with correlated errors (covariance K) has the information of 1' K^-1 1
+    independent ones; a frame adds the difference.
+    """
+    if revisits is None:
+        return 1.0
+    nearest = np.argsort(_distance(revisits.postures, posture))[:_NEAREST]
+    postures, ages_s = revisits.postures[nearest], revisits.ages_s[nearest]
+    between_s = np.abs(ages_s[:, None] - ages_s)
+    K = revisits.correlation * _kernel(_distance(postures[:, None], postures), between_s)
+    K[np.diag_indices(len(K))] = 1.0
+    k = revisits.correlation * _kernel(_distance(postures, posture), ages_s)
+    weights = np.linalg.solve(K, k)
+    return float(max(1 - weights.sum(), _LEAST_NOVELTY) ** 2 / (1 - weights @ k))
+
+
+def revisit_inflation(revisits: RevisitCorrelation | None, novelty: float) -> float:
+    """Compute the covariance inflation of a frame of a `frame_novelty`.
+
+    Frames equivalent to n independent ones have the information of n / (1 + c (n - 1)), where c is
+    the far correlation; a frame adds the difference.
+    """
+    if revisits is None:
+        return 1.0
+    n, c = revisits.independent, revisits.far_correlation
+    return (1 + c * (n - 1)) * (1 + c * (n + novelty - 1)) / (novelty * (1 - c))
+
+
+def update_revisits(
+    revisits: RevisitCorrelation | None,
+    posture: Array,
+    *,
+    novelty: float,
+    blocks: Array,
+    systematic: float = 0.0,
+) -> RevisitCorrelation:
+    """Add a frame.
+
+    Args:
+        revisits: at the time of the frame; None: it is the first.
+        posture: (r,) its joint angles [rad].
+        novelty: its `frame_novelty`.
+        blocks: (B,) its sums of residuals, from `design_effect`.
+        systematic: systematic share of its variance.
+    """
+    far = systematic + (1 - systematic) * _FAR_CORRELATION
     unit = (blocks / max(float(np.linalg.norm(blocks)), 1e-9)).astype(np.float32)[None]
-    if before is None:
-        first = Recurrence(joints[None], np.zeros(1), unit, independent=1.0, everywhere=everywhere)
-        return first, 1.0
-    near = _kernel(_apart(before.joints, joints), before.ages_s)
+    if revisits is None:
+        return RevisitCorrelation(
+            posture[None], np.zeros(1), unit, independent=1.0, far_correlation=far
+        )
+    near = _kernel(_distance(revisits.postures, posture), revisits.ages_s)
     weight = float(near @ near)
-    measured = float(near @ (before.blocks @ unit[0])) / max(weight, 1e-9)
-    pace = _PACE * weight / (1 + weight)
-    c = before.correlation + pace * (measured - before.correlation)
-    added = _added(before, tuple(joints))
-    after = Recurrence(
-        joints=np.concatenate([before.joints, joints[None]])[-_REMEMBERED:],
-        ages_s=np.append(before.ages_s, 0.0)[-_REMEMBERED:],
-        blocks=np.concatenate([before.blocks, unit])[-_REMEMBERED:],
-        correlation=min(max(c, 0.0), _MOST_RECURRENCE),
-        independent=before.independent + added,
-        everywhere=before.everywhere + _PACE * (everywhere - before.everywhere),
+    measured = float(near @ (revisits.blocks @ unit[0])) / max(weight, 1e-9)
+    c = revisits.correlation + PACE * weight / (1 + weight) * (measured - revisits.correlation)
+    return RevisitCorrelation(
+        postures=np.concatenate([revisits.postures, posture[None]])[-_REMEMBERED:],
+        ages_s=np.append(revisits.ages_s, 0.0)[-_REMEMBERED:],
+        blocks=np.concatenate([revisits.blocks, unit])[-_REMEMBERED:],
+        correlation=min(max(c, 0.0), _MOST_CORRELATION),
+        independent=revisits.independent + novelty,
+        far_correlation=revisits.far_correlation + PACE * (far - revisits.far_correlation),
     )
-    return after, _inflation(before, added)
 
 
-def _apart(a: Array, b: Array) -> Array:
-    """Return the distance of postures (..., r) [rad]; Euclidean, so that K is positive definite."""
+def _distance(a: Array, b: Array) -> Array:
+    """Compute the Euclidean distance of postures (..., r) [rad], so that K is positive definite."""
     return np.linalg.norm(a - b, axis=-1)
 
 
-def _kernel(apart: Array, elapsed_s: Array) -> Array:
-    same = np.exp(-apart / _SAME_WINDOWS_RAD) + np.exp(-((apart / _SAME_SURFACES_RAD) ** 2))
-    return same / 2 * np.exp(-elapsed_s / _FADING_S)
+def _kernel(distance: Array, elapsed_s: Array) -> Array:
+    shape = np.exp(-distance / _WINDOWS_RAD) + np.exp(-((distance / _SURFACES_RAD) ** 2))
+    return shape / 2 * np.exp(-elapsed_s / _FADING_S)

@@ -1,26 +1,37 @@
-"""What may be wrong with a head before its eyes have looked: the prior of self-calibration.
+"""Prior of self-calibration: which parameters may be wrong, and by how much.
 
-A calibration that states its covariance brings it along. One that does not, such as that of the
-paper's method, is given the errors that such procedures usually have, in the quantities that they
-measure: lenses, mountings, gains, and the pose of the cameras to each other at straight gaze,
-which is known far better than the mountings. The axes of the joints, which they take to be as
-designed, may be off too. At straight gaze points lie near their epipolar lines, since both cameras
-saw the same board, whatever each parameter may be wrong by; and a board that is bent makes both
-focal lengths wrong alike, but not their ratio. What has moved since is added to both, unless the
-head has just been calibrated.
+A calibration brings its covariance along. One without a covariance, such as that of the paper's
+method, gets usual tolerances, conditioned on what its procedure measured well: the relative pose of
+the cameras at straight gaze, the epipolar lines there, and the ratio of the focal lengths. What may
+have moved since the calibration is added to either.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Literal
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Literal, get_args
 
 import numpy as np
 
 from vergence.arrays import Array
+from vergence.errors import VergenceError
 from vergence.geometry import se3
-from vergence.geometry.camera import pixel_grid, project, unproject
-from vergence.geometry.head import HeadCalibration, stated_covariance, states_covariance
+from vergence.geometry.camera import (
+    Camera,
+    displaced_by_distortion,
+    pixel_grid,
+    project,
+    unproject,
+)
+from vergence.geometry.head import (
+    HeadCalibration,
+    pair_names,
+    reading_stds,
+    stated_covariance,
+    states_covariance,
+)
 from vergence.geometry.kinematics import EYES, straight_gaze
 from vergence.geometry.lens import COEFFICIENTS
 from vergence.geometry.parameter_names import PINHOLE, POSE, intrinsics_names
@@ -31,47 +42,183 @@ from vergence.geometry.parameters import (
     redundant_offsets,
 )
 from vergence.self_calibration.residuals import epipolar_residuals, pair_coordinates
-from vergence.self_calibration.tolerances import MOVED, USUAL, tolerance_covariance
+from vergence.self_calibration.state import FilterState, PriorSnapshot
 
 Changed = Literal["nothing", "little", "anything"]
 """What may have changed since a calibration: nothing right after it; little by transport,
-temperature or a screw; anything by a repair, and then its covariance no longer holds."""
+temperature or a screw; anything by a repair, which voids the stated covariance."""
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """Standard deviation of each kind of parameter; 0 is exact."""
+
+    focal: float = 0.0
+    """Relative; common to fx and fy of a camera."""
+    aspect: float = 0.0
+    """Relative; of fx and fy independently."""
+    centre_px: float = 0.0
+    lens_px: float = 0.0
+    """Displacement by the distortion coefficients, root mean square over the image."""
+    turn_rad: float = 0.0
+    """Rotation of a mounting about each axis."""
+    shift_m: float = 0.0
+    stereo_turn_rad: float = 0.0
+    """Relative rotation of the cameras at straight gaze, or of the bases."""
+    stereo_shift_m: float = 0.0
+    gain: float = 0.0
+    """Relative; of a joint with several readings, of the gear factor of each."""
+    offset_rad: float = 0.0
+    """Of a joint between the first and the last of an eye."""
+    axis_turn_rad: float = 0.0
+    """Direction of a joint's axis relative to the one before."""
+    axis_shift_m: float = 0.0
+
+
+USUAL = Tolerance(
+    focal=0.02,
+    aspect=1e-4,
+    centre_px=0.2,
+    lens_px=0.1,
+    turn_rad=np.radians(0.5),
+    shift_m=3e-3,
+    stereo_turn_rad=np.radians(0.3),
+    stereo_shift_m=2e-4,
+    gain=0.03,
+    offset_rad=np.radians(0.5),
+    axis_turn_rad=np.radians(0.1),
+    axis_shift_m=3e-4,
+)
+"""Errors of a calibration without a covariance; the table in docs/self_calibration.md gives the
+measurement behind each."""
+MOVED = Tolerance(
+    focal=0.002,
+    aspect=1e-4,
+    centre_px=0.3,
+    turn_rad=np.radians(0.1),
+    shift_m=1e-4,
+    stereo_turn_rad=np.radians(0.03),
+    stereo_shift_m=5e-5,
+    gain=0.002,
+)
+"""Changes since the calibration by transport, temperature and screws; assumptions."""
+DRIFT = Tolerance(
+    focal=1e-4,
+    centre_px=0.01,
+    turn_rad=np.radians(0.03),
+    shift_m=1e-5,
+    stereo_turn_rad=np.radians(0.003),
+    stereo_shift_m=5e-6,
+    gain=1e-4,
+)
+"""Random walk in one minute of running; assumptions."""
+BUMP = Tolerance(turn_rad=np.radians(1.5), shift_m=1e-3)
+"""Motion of a camera that was hit; an assumption."""
+UNCALIBRATED = replace(
+    USUAL,
+    aspect=0.0,
+    lens_px=0.0,
+    centre_px=5.0,
+    turn_rad=np.radians(1.5),
+    stereo_turn_rad=np.radians(1.0),
+    stereo_shift_m=1e-3,
+    gain=0.05,
+)
+"""Errors of a head known from its drawing only; assumptions."""
+
+_JUST_CALIBRATED = 1e-6
+"""Share of the variance of MOVED right after a calibration, so that the covariance can be inverted
+even if the calibration held parameters fixed."""
 _COMMON = 0.5
-"""Share of the usual variance which both eyes have in common: their lenses and encoders are of one
-make, and one board is shown to both. With a half, neither eyes that have nothing in common nor such
-that are wrong alike are out of proportion."""
-_LEFT = 1e-6
-"""Share of the variance of MOVED that is left right after a calibration, whose covariance may state
-none of what it held fixed."""
-_BASELINES_AWAY = 5.0, 20.0
-"""Depths at which boards are shown, in baselines."""
-_BEYOND_FIT = 2.0
-"""By how much more than its fit to a board states a lens is taken to err. The fits themselves are
-right: it makes up for matches that tell less than is estimated. Fitted by
-`benchmarks/single_frames.py`: of 12 rendered heads (2.8 mm lens) the squared Mahalanobis distance
-of the cameras' turn is 1.76, 1.37, 1.16 and 0.96 per degree of freedom with factors of 1, 1.5, 2
-and 3; of 6 heads with the 4.0 mm lens 0.93 with 2."""
-_LEAST_LENS_PX = 1e-3
-"""Standard deviation of a principal point, and of what coefficients displace, below which no board
-determines them, however well it fits."""
-_SHOWN_BY_LINES = 4
-"""How many errors of a pair displace points from their epipolar lines at straight gaze, each with
-another pattern over the image: pitch, roll, vergence, and the ratio of the focal lengths."""
+"""Correlation of the errors of both eyes, whose lenses and encoders are of one make; halfway
+between independent and equal errors."""
+_LENS_INFLATION = 2.0
+"""Inflation of the stated errors of a lens fit; chosen with benchmarks/single_frames.py, where the
+squared Mahalanobis distance of the relative rotation is 1.76, 1.37, 1.16 and 0.96 per degree of
+freedom with 1, 1.5, 2 and 3."""
+_LENS_FLOOR_PX = 1e-3
+"""Least error of a fitted lens; exact data would make the covariance singular."""
+_EPIPOLAR_PX = 0.3
+"""Distance of points from their epipolar lines at straight gaze, root mean square over the image;
+0.05 to 0.5 in six calibrations of the twin by the paper's method."""
+_EPIPOLAR_DEGREES = 4
+"""Degrees of freedom of these distances: pitch, roll, vergence and the ratio of focal lengths."""
+_BOARD_DISTANCES = 5.0, 20.0
+"""Typical distances of boards, in baselines."""
+_LEAST_FACTOR = 0.1
+"""Gear factor to which the tolerance of a smaller one refers, since zero may be wrong too."""
+_COEFFICIENT_STD = 0.01
+"""Largest standard deviation of a combination of distortion coefficients; some combinations of a
+rational lens displace nothing, and would leave the linear range."""
 JOINT_STD_RAD = np.radians(0.2)
-"""Noise of readings that nobody states, until it is estimated."""
+"""Noise of readings for which the calibration states none, until it is estimated."""
 LEAST_JOINT_STD_RAD = np.radians(0.05)
-"""Noise at first where a calibration states less: it was recorded with eyes at rest, and readings
-that are a millisecond late are that wrong while eyes turn by 50 degrees a second. An assumption."""
+"""Least initial noise of readings: one that is 1 ms late errs as much at 50 degrees a second."""
+_LEAST_NOISE_RATIO = 0.1
+"""Least noise of one reading relative to the rms of all; no reading is exact."""
 
 
-def learned_names(head: HeadCalibration, cameras: tuple[str, str]) -> tuple[str, ...]:
-    """Return which parameters of a head can be wrong, and show in its main cameras or follow them.
+def initial_state(
+    head: HeadCalibration,
+    *,
+    cameras: tuple[str, str] | None = None,
+    changed: Changed = "little",
+) -> FilterState:
+    """Start the filter from a calibration.
 
-    Other cameras are screwed to the same eyes: if they stayed where the calibration has them, they
-    would stand wrongly to those that are corrected.
+    Args:
+        head: with a camera in each eye.
+        cameras: names of the left and the right camera; None: the main ones.
+        changed: what may have changed since the calibration. With "anything" usual tolerances
+            replace the stated covariance; the stated noise is kept.
+
+    Raises:
+        VergenceError: the head has one eye or no joint readings, was calibrated with measured eye
+            poses, or `changed` is another word.
+    """
+    if changed not in get_args(Changed):
+        raise VergenceError(f"changed is {' or '.join(get_args(Changed))}, found {changed!r}.")
+    pair = pair_names(head, cameras)
+    accuracy = head.accuracy
+    if accuracy is not None and accuracy.eye_motion == "poses":
+        raise VergenceError(
+            "Self-calibration corrects joint readings; this head was calibrated with measured eye "
+            "poses, so that nothing is known of its joints."
+        )
+    if not head.kinematics.readings:
+        raise VergenceError(
+            "Self-calibration follows eyes that move by their joint readings; this head has none."
+        )
+    if accuracy is not None and changed == "anything":
+        unknown = replace(accuracy, parameters=(), covariance=np.empty((0, 0)), lenses={})
+        head = replace(head, accuracy=unknown)
+    names = estimated_names(head, pair)
+    factors = head.kinematics.factors
+    stds = reading_stds(head) * factors
+    if not stds.any():
+        stds = np.full(len(factors), JOINT_STD_RAD)
+    rms = float(np.sqrt(np.mean(stds**2)))
+    C = prior_covariance(head, names, pair, moved=changed != "nothing")
+    systematic = accuracy.systematic_px if accuracy else {}
+    return FilterState(
+        head=head,
+        cameras=pair,
+        names=names,
+        covariance=C,
+        prior=PriorSnapshot(head, C),
+        joint_std_rad=max(rms, float(LEAST_JOINT_STD_RAD)),
+        noise_ratios=np.maximum(stds / rms, _LEAST_NOISE_RATIO) / factors,
+        systematic_px=(systematic.get(pair[0], 0.0), systematic.get(pair[1], 0.0)),
+    )
+
+
+def estimated_names(head: HeadCalibration, cameras: tuple[str, str]) -> tuple[str, ...]:
+    """List the parameters to estimate: those that show in a pair of cameras or follow from them.
+
+    Other cameras are mounted on the same eyes: their mountings follow those of the pair.
     """
     stated = head.accuracy.parameters if head.accuracy else ()
-    shown = {
+    visible = {
         f"{name}.{each}"
         for name in cameras
         for each in (PINHOLE if stated else intrinsics_names(head.camera(name).intrinsics))
@@ -79,12 +226,12 @@ def learned_names(head: HeadCalibration, cameras: tuple[str, str]) -> tuple[str,
 
     def wanted(name: str) -> bool:
         owner, _, rest = name.partition(".")
-        pose = rest.startswith("T_eye_cam") or owner == "T_rbase_lbase"
+        of_pose = rest.startswith("T_eye_cam") or owner == "T_rbase_lbase"
         of_joint = is_gain(name) or (not stated and owner in EYES)
-        return pose or of_joint or name in shown or name in stated
+        return of_pose or of_joint or name in visible or name in stated
 
-    never = {"time_offset_s"} | redundant_offsets(head.kinematics).difference(stated)
-    return tuple(n for n in parameter_names(head) if wanted(n) and n not in never)
+    excluded = {"time_offset_s"} | redundant_offsets(head.kinematics).difference(stated)
+    return tuple(n for n in parameter_names(head) if wanted(n) and n not in excluded)
 
 
 def prior_covariance(
@@ -94,90 +241,191 @@ def prior_covariance(
     *,
     moved: bool = True,
 ) -> Array:
-    """Return the covariance (P, P) of the parameters before anything is seen.
+    """Compute the covariance (P, P) before the first frame.
 
-    That which the head states or, if it states none, usual tolerances; and what may have moved
-    since, unless nothing has.
+    Args:
+        head: the calibration.
+        names: the P parameters.
+        cameras: the pair that is used.
+        moved: whether the head may have changed a little since the calibration.
     """
-    since = tolerance_covariance(head, names, MOVED) * (1.0 if moved else _LEFT)
+    C = tolerance_covariance(head, names, MOVED) * (1.0 if moved else _JUST_CALIBRATED)
     if not states_covariance(head):
-        return since + _of_procedure(head, names, cameras)
-    stated, C = stated_covariance(head, names)
-    since[np.ix_(stated, stated)] += C
-    return since
-
-
-def covariance_of_others(
-    head: HeadCalibration, names: tuple[str, ...]
-) -> tuple[tuple[str, ...], Array]:
-    """Return the parameters (R,) of a head that may be wrong besides those named, and (R, R).
-
-    By the calibration's covariance or, where it states none, by what such procedures usually are
-    wrong by.
-    """
-    others = tuple(name for name in parameter_names(head) if name not in names)
-    if states_covariance(head):
-        stated, C = stated_covariance(head, others)
-        return tuple(others[k] for k in stated), C
-    others = tuple(name for name in others if name.partition(".")[0] in head.cameras)
-    return others, _with_fits(head, others)
-
-
-def _with_fits(head: HeadCalibration, names: tuple[str, ...]) -> Array:
-    """Return the covariance (P, P) by usual tolerances, of lenses by how well they were fitted.
-
-    But for the focal length, which one board may make wrong in all of its views.
-    """
-    C = tolerance_covariance(head, names, USUAL)
-    for camera, fit in (head.accuracy.lenses if head.accuracy else {}).items():
-        tolerance = replace(
-            USUAL,
-            focal=max(fit.focal, USUAL.focal),
-            centre_px=max(_BEYOND_FIT * fit.centre_px, _LEAST_LENS_PX),
-            lens_px=max(_BEYOND_FIT * fit.distortion_px or USUAL.lens_px, _LEAST_LENS_PX),
-        )
-        own = [k for k, name in enumerate(names) if name.startswith(f"{camera}.")]
-        C[np.ix_(own, own)] = tolerance_covariance(head, names, tolerance)[np.ix_(own, own)]
+        return C + _procedure_covariance(head, names, cameras)
+    rows, stated = stated_covariance(head, names)
+    C[np.ix_(rows, rows)] += stated
     return C
 
 
-def _with_common(
+def remaining_covariance(
+    head: HeadCalibration, names: tuple[str, ...]
+) -> tuple[tuple[str, ...], Array]:
+    """List the R parameters that may be wrong and are not among `names`, with their covariance.
+
+    The covariance (R, R) is the calibration's or, without one, that of usual tolerances.
+    """
+    others = tuple(name for name in parameter_names(head) if name not in names)
+    if states_covariance(head):
+        rows, C = stated_covariance(head, others)
+        return tuple(others[k] for k in rows), C
+    others = tuple(name for name in others if name.partition(".")[0] in head.cameras)
+    return others, _lens_fit_covariance(head, others)
+
+
+def tolerance_covariance(
+    head: HeadCalibration, names: tuple[str, ...], tolerance: Tolerance
+) -> Array:
+    """Compute the covariance (P, P) of parameters that err by tolerances."""
+    C = np.diag(_relative_variances(names, tuple(head.cameras), tolerance))
+    rows = {name: k for k, name in enumerate(names)}
+    for camera, mounted in head.cameras.items():
+        lens = mounted.intrinsics
+        focal = [
+            (rows[n], lens.matrix[k, k]) for k in (0, 1) if (n := f"{camera}.f{'xy'[k]}") in rows
+        ]
+        if focal:
+            own, f = [k for k, _ in focal], np.array([value for _, value in focal])
+            relative = tolerance.focal**2 + tolerance.aspect**2 * np.eye(len(f))
+            C[np.ix_(own, own)] = relative * np.outer(f, f)
+        coefficients = [f"{camera}.{each}" for each in COEFFICIENTS[lens.model]]
+        free = [k for k, name in enumerate(coefficients) if name in rows]
+        if tolerance.lens_px and free:
+            own = [rows[coefficients[k]] for k in free]
+            C[np.ix_(own, own)] = _coefficient_covariance(lens, free, tolerance.lens_px)
+    factors = [name for name in names if is_gain(name) and not name.endswith("_gain")]
+    if factors:
+        values = parameter_values(head)
+        for name in factors:
+            C[rows[name], rows[name]] *= max(abs(values[name] or 0.0), _LEAST_FACTOR) ** 2
+    return C
+
+
+def _coefficient_covariance(lens: Camera, free: Sequence[int], lens_px: float) -> Array:
+    """Compute the covariance (n, n) of the free distortion coefficients of a lens.
+
+    Together they displace the image by lens_px, root mean square; each alone is less certain.
+    """
+    shown = len(free) * displaced_by_distortion(lens)[np.ix_(free, free)] / lens_px**2
+    return np.asarray(np.linalg.inv(shown + np.eye(len(free)) / _COEFFICIENT_STD**2), float)
+
+
+@lru_cache(maxsize=64)
+def _relative_variances(
+    names: tuple[str, ...], cameras: tuple[str, ...], tolerance: Tolerance
+) -> Array:
+    """Return variances (P,), without those of focal lengths and distortion coefficients."""
+    t = tolerance
+    of_joint = {
+        "_offset_rad": t.offset_rad,
+        "_nonorthogonality_rad": t.axis_turn_rad,
+        "_inclination_rad": t.axis_turn_rad,
+        "_axis_distance_m": t.axis_shift_m,
+        "_slide_m": t.axis_shift_m,
+    }
+
+    def std(name: str) -> float:
+        owner, _, rest = name.partition(".")
+        turns = rest.rpartition(".")[2].startswith("r")
+        if owner in cameras and rest.startswith("T_eye_cam"):
+            return t.turn_rad if turns else t.shift_m
+        if owner in cameras:
+            return t.centre_px if rest in ("cx", "cy") else 0.0
+        if owner == "T_rbase_lbase":
+            return t.stereo_turn_rad if turns else t.stereo_shift_m
+        if is_gain(name):
+            return t.gain
+        return next((value for end, value in of_joint.items() if name.endswith(end)), 0.0)
+
+    return np.square([std(name) for name in names])
+
+
+def _procedure_covariance(
+    head: HeadCalibration, names: tuple[str, ...], cameras: tuple[str, str]
+) -> Array:
+    """Compute the covariance of a head that the paper's procedure calibrated."""
+    C = _lens_fit_covariance(head, names)
+    C = _correlate_eyes(head, names, cameras, C)
+    C = _follow_main_cameras(head, names, cameras, C)
+    pair = pair_coordinates(head, names, straight_gaze(head.kinematics), cameras)
+    # T_rbase_lbase follows from static stereo (Eq. 10): its errors are those of the relative pose
+    # at straight gaze, and what the other parameters' errors add to it.
+    base = [k for k, name in enumerate(names) if name.startswith("T_rbase_lbase")]
+    by_names = pair.by_unknowns[-len(POSE) :, : len(names)]
+    to_base = np.linalg.inv(by_names[:, base])
+    mixing = np.eye(len(names))
+    mixing[base] = -to_base @ by_names
+    mixing[np.ix_(base, base)] = to_base
+    C = mixing @ C @ mixing.T
+    J = _epipolar_jacobian(pair.lenses, pair.T_second_first) @ pair.by_unknowns[:, : len(names)]
+    C = _condition(C, J, _EPIPOLAR_PX**2 * len(J) / _EPIPOLAR_DEGREES)
+    fits = head.accuracy.lenses if head.accuracy else {}
+    if all(name in fits and f"{name}.fx" in names for name in cameras):
+        ratio = np.zeros((1, len(names)))
+        for name, sign in zip(cameras, (1, -1), strict=True):
+            ratio[0, names.index(f"{name}.fx")] = sign / head.camera(name).intrinsics.matrix[0, 0]
+        C = _condition(C, ratio, _LENS_INFLATION**2 * sum(fits[n].focal ** 2 for n in cameras))
+    return C
+
+
+def _condition(C: Array, J: Array, variance: float) -> Array:
+    """Condition a covariance (P, P) on measurements of J (m, P) times the error."""
+    by_measurements = C @ J.T
+    C = C - by_measurements @ np.linalg.solve(
+        J @ by_measurements + variance * np.eye(len(J)), by_measurements.T
+    )
+    return (C + C.T) / 2
+
+
+def _lens_fit_covariance(head: HeadCalibration, names: tuple[str, ...]) -> Array:
+    """Compute the covariance (P, P) by usual tolerances, and by the stated errors of lens fits.
+
+    Focal lengths keep the usual tolerance: one bent board makes all of its views wrong alike.
+    """
+    C = tolerance_covariance(head, names, USUAL)
+    for camera, fit in (head.accuracy.lenses if head.accuracy else {}).items():
+        fitted = replace(
+            USUAL,
+            focal=max(fit.focal, USUAL.focal),
+            centre_px=max(_LENS_INFLATION * fit.centre_px, _LENS_FLOOR_PX),
+            lens_px=max(_LENS_INFLATION * fit.distortion_px or USUAL.lens_px, _LENS_FLOOR_PX),
+        )
+        own = [k for k, name in enumerate(names) if name.startswith(f"{camera}.")]
+        C[np.ix_(own, own)] = tolerance_covariance(head, names, fitted)[np.ix_(own, own)]
+    return C
+
+
+def _correlate_eyes(
     head: HeadCalibration, names: tuple[str, ...], cameras: tuple[str, str], C: Array
 ) -> Array:
-    """Return the covariance of parameters of which those of both eyes err alike in part."""
+    """Correlate the errors of corresponding parameters of both eyes."""
     lenses = [head.camera(name).intrinsics for name in cameras]
     alike = lenses[0].model == lenses[1].model
-    of_eyes = [
-        [
-            (f"{left}.{rest}", f"{right}.{rest}")
-            for name in names
-            for owner, _, rest in [name.partition(".")]
-            if owner == left and (alike or rest not in COEFFICIENTS[lenses[0].model])
-        ]
-        for left, right in (cameras, EYES)
+    excluded = () if alike else COEFFICIENTS[lenses[0].model]
+    pairs = [
+        (k, names.index(other))
+        for first, second in (cameras, EYES)
+        for k, name in enumerate(names)
+        for owner, _, rest in [name.partition(".")]
+        if owner == first and rest not in excluded and (other := f"{second}.{rest}") in names
     ]
-    both = [pair for pairs in of_eyes for pair in pairs if pair[1] in names]
-    first, second = ([names.index(pair[k]) for pair in both] for k in (0, 1))
-    # Errors of factors are relative to these, which may be of opposite sign in the two eyes.
+    # Gear factors err relative to their values, which may differ in sign between the eyes.
     values = parameter_values(head)
     sign = np.array([-1.0 if is_gain(n) and (values[n] or 0.0) < 0 else 1.0 for n in names])
-    left, right = (
-        sign[each, None] * np.linalg.cholesky(C[np.ix_(each, each)]) for each in (first, second)
-    )
-    shared = C.copy()
-    shared[np.ix_(first, second)] = _COMMON * left @ right.T
-    shared[np.ix_(second, first)] = shared[np.ix_(first, second)].T
-    return shared
+    one, other = ([pair[k] for pair in pairs] for k in (0, 1))
+    roots = [sign[own, None] * np.linalg.cholesky(C[np.ix_(own, own)]) for own in (one, other)]
+    C = C.copy()
+    C[np.ix_(one, other)] = _COMMON * roots[0] @ roots[1].T
+    C[np.ix_(other, one)] = C[np.ix_(one, other)].T
+    return C
 
 
-def _with_followers(
+def _follow_main_cameras(
     head: HeadCalibration, names: tuple[str, ...], cameras: tuple[str, str], C: Array
 ) -> Array:
-    """Return the covariance in which other cameras err with the main one of their eye.
+    """Let other cameras of an eye move with its main one, to which they are rigidly mounted.
 
-    They are screwed to the same eye, and saw the same board: to each other they turn as little as
-    the cameras of the two eyes do. How far they are apart is known less well, since wrong focal
-    lengths look like distances: their shift has the tolerance of a mounting.
+    Their relative rotation is known as well as that between the eyes, since they saw one board.
+    Their relative position is known as a mounting is: wrong focal lengths look like distances.
     """
     follow, C = np.eye(len(names)), C.copy()
     for name in (each for each in head.cameras if each not in cameras):
@@ -185,64 +433,19 @@ def _with_followers(
         own, its = ([names.index(f"{each}.T_eye_cam.{k}") for k in POSE] for each in (name, main))
         C[own[:3], own[:3]] = USUAL.stereo_turn_rad**2
         follow[own, its] = 1.0
-        apart = head.camera(name).T_eye_cam[:3, 3] - head.camera(main).T_eye_cam[:3, 3]
-        follow[np.ix_(own[3:], its[:3])] = -se3.hat(apart)
+        offset = head.camera(name).T_eye_cam[:3, 3] - head.camera(main).T_eye_cam[:3, 3]
+        follow[np.ix_(own[3:], its[:3])] = -se3.hat(offset)
     return follow @ C @ follow.T
 
 
-def _of_procedure(head: HeadCalibration, names: tuple[str, ...], cameras: tuple[str, str]) -> Array:
-    """Return the covariance of a head whose T_rbase_lbase follows from static stereo (Eq. 10).
-
-    Its error is that of the static stereo, and what the mountings' errors do to it.
-    """
-    C = _with_common(head, names, cameras, _with_fits(head, names))
-    C = _with_followers(head, names, cameras, C)
-    base = [k for k, name in enumerate(names) if name.startswith("T_rbase_lbase")]
-    zero = straight_gaze(head.kinematics)
-    by = pair_coordinates(head, names, zero, cameras).by_unknowns[-len(POSE) :, : len(names)]
-    # stereo = by_base base + by_rest rest, with a stereo that does not depend on the rest.
-    back = np.linalg.inv(by[:, base])
-    mixing = np.eye(len(names))
-    mixing[base] = -back @ by
-    mixing[np.ix_(base, base)] = back
-    C = mixing @ C @ mixing.T
-    J = _by_epipolar_lines(head, names, cameras)
-    noise = USUAL.epipolar_px**2 * len(J) / _SHOWN_BY_LINES * np.eye(len(J))
-    C = C - C @ J.T @ np.linalg.solve(J @ C @ J.T + noise, J @ C)
-    return _with_focal_ratio(head, names, cameras, (C + C.T) / 2)
-
-
-def _with_focal_ratio(
-    head: HeadCalibration, names: tuple[str, ...], cameras: tuple[str, str], C: Array
-) -> Array:
-    """Return the covariance with the ratio of the focal lengths as certain as their fits are."""
-    fits = head.accuracy.lenses if head.accuracy else {}
-    if not all(name in fits and f"{name}.fx" in names for name in cameras):
-        return C
-    ratio = np.zeros(len(names))
-    for name, sign in zip(cameras, (1, -1), strict=True):
-        ratio[names.index(f"{name}.fx")] = sign / head.camera(name).intrinsics.matrix[0, 0]
-    variance = _BEYOND_FIT**2 * sum(fits[name].focal ** 2 for name in cameras)
-    by_ratio = C @ ratio
-    return C - np.outer(by_ratio, by_ratio) / (ratio @ by_ratio + variance)
-
-
-def _by_epipolar_lines(
-    head: HeadCalibration, names: tuple[str, ...], cameras: tuple[str, str]
-) -> Array:
-    """Return how parameters (N, P) displace points from their epipolar lines at straight gaze [px].
-
-    Of points all over the image that both cameras see; N is 0 if there are none.
-    """
-    straight = straight_gaze(head.kinematics)
-    pair = pair_coordinates(head, names, straight, cameras)
-    lenses = pair.lenses
-    baseline = float(np.linalg.norm(pair.T_second_first[:3, 3]))
-    left = np.tile(pixel_grid(lenses[0]), (len(_BASELINES_AWAY), 1))
-    depths = np.repeat(_BASELINES_AWAY, len(left) // len(_BASELINES_AWAY)) * baseline
-    points = unproject(lenses[0], left) * depths[:, None]
-    right = project(lenses[1], se3.transform(pair.T_second_first, points))
-    edge = np.array([lenses[1].width, lenses[1].height]) - 1
-    both = ((right >= 0) & (right <= edge)).all(axis=1)  # NaN: not seen
-    found = epipolar_residuals(lenses, pair.T_second_first, left[both], right[both])
-    return found.by_coordinates @ pair.by_unknowns[:, : len(names)]
+def _epipolar_jacobian(lenses: Sequence[Camera], T_rcam_lcam: Array) -> Array:
+    """Differentiate epipolar distances (N,) [px] all over the common view, by pair coordinates."""
+    baseline = float(np.linalg.norm(T_rcam_lcam[:3, 3]))
+    pixels = pixel_grid(lenses[0])
+    left = np.tile(pixels, (len(_BOARD_DISTANCES), 1))
+    points = (
+        unproject(lenses[0], left) * baseline * np.repeat(_BOARD_DISTANCES, len(pixels))[:, None]
+    )
+    right = project(lenses[1], se3.transform(T_rcam_lcam, points))
+    inside = ((right >= 0) & (right <= np.array(lenses[1].size) - 1)).all(axis=1)  # NaN: unseen
+    return epipolar_residuals(lenses, T_rcam_lcam, left[inside], right[inside]).by_coordinates

@@ -1,13 +1,9 @@
-"""Robust linearised fits with a Gaussian prior: the estimator of self-calibration.
+"""Robust iterated update: matches with outliers, and a Gaussian prior.
 
-Residuals are in standard deviations. Many of them may be wrong: the best of many hypotheses from
-three residuals each starts a reweighted fit with a fixed scale. This is done with some of them
-first; where that fit ended all are linearised, and fitted in the same way. Where they are linear up
-to there, all are linearised at once. What the residuals say is kept apart from the prior, as normal
-equations.
-
-Residuals depend on the unknowns through fewer coordinates: those of two lenses and of one pose, of
-a head with many joints and mountings. The fit is made in these, with the prior that they have.
+The best of many hypotheses from three residuals each starts iteratively reweighted least squares
+with Tukey's biweight and a fixed scale. Residuals depend on the K unknowns through k coordinates:
+those of one or two lenses and of one pose. The fit is made in these, with the prior that they have.
+The result is the measurement alone, as normal equations in the unknowns.
 """
 
 from __future__ import annotations
@@ -19,6 +15,7 @@ from functools import lru_cache
 import numpy as np
 
 from vergence.arrays import Array
+from vergence.estimation.linear import posterior
 from vergence.self_calibration.match_noise import (
     CUT,
     design_effect,
@@ -30,107 +27,104 @@ from vergence.self_calibration.match_noise import (
 from vergence.self_calibration.state import Evidence
 
 _HYPOTHESES = 300
-_STEPS = 4
-"""Steps of each of the two runs of reweighted least squares in a fit."""
-_FIRST = 150
-"""Residuals that start a fit; more take longer, and start no better."""
+"""Number of three-point hypotheses; enough at 70 % outliers."""
+_ITERATIONS = 4
+"""Iterations of each run of reweighted least squares."""
+_STARTING = 150
+"""Residuals that start a fit; more take longer and start no better."""
 INLIER = 0.3
-"""Weight from which a residual fits."""
+"""Least weight of an inlier."""
 FEWEST = 12.0
-"""Matches that must fit; a few always do, whatever they show."""
-MOST = 0.5
-"""Share of the matches that is most of them."""
+"""Least number of inliers; fewer fit by chance."""
+MAJORITY = 0.5
+"""Share of inliers above which most matches agree."""
 GATE = 1e-7
-"""Probability by chance of a change that is not believed from one frame alone."""
-
+"""Tail probability of the innovation gate."""
 LINEAR_RAD = 0.005
-"""Error of a reading up to which residuals are linear: by its square they are wrong by 0.01 px at
-most, with focal lengths up to 800 px."""
+"""Error of a joint angle up to which residuals are linear: to 0.01 px at focal lengths of 800 px."""
 
 
 @dataclass(frozen=True, eq=False)
 class LinearisedResiduals:
-    """n residuals after a change of the K unknowns, and their derivatives there."""
+    """n residuals at some value of the K unknowns, with their derivatives."""
 
     residuals: Array
-    """(n,) [standard deviations]"""
+    """(n,) measured minus predicted [standard deviations]."""
     by_coordinates: Array
-    """(n, k) with the sign of what is predicted, by the coordinates that they depend on."""
+    """(n, k) derivatives of the predictions."""
     by_unknowns: Array
-    """(k, K) of these coordinates."""
+    """(k, K) derivatives of the coordinates."""
     systematic: float = 0.0
-    """Share of the residuals' variance that is by systematic errors of the lenses."""
+    """Share of the residuals' variance that is due to systematic lens errors."""
 
 
 def robust_fit(
-    linearised: Callable[[Array, np.ndarray], LinearisedResiduals],
+    linearise: Callable[[Array, np.ndarray], LinearisedResiduals],
     C: Array,
     *,
     pixels: Array,
     size: tuple[int, int],
-    expected_design_effect: float,
+    prior_design_effect: float,
     fixed: int = 0,
-    linear: Callable[[Array], bool] | None = None,
+    linear_range: Array | None = None,
 ) -> tuple[Array, Array, Evidence]:
-    """Return the change (K,) that residuals and prior give, weights (N,), and what residuals say.
+    """Fit residuals with a prior; return the change (K,), weights (N,) and the measurement.
 
     Args:
-        linearised: returns the residuals of some (n,) of the pixels after a change (K,).
+        linearise: computes the residuals of some (n,) of the positions after a change (K,).
         C: (K, K) prior covariance of the change.
-        pixels: (N, 2) where the residuals are in the image.
+        pixels: (N, 2) positions of the residuals in the image.
         size: width and height of the image [px].
-        expected_design_effect: before the residuals are seen.
-        fixed: how many of the first unknowns stay at zero where residuals are linearised again.
-        linear: whether residuals are linear enough up to a change (K,), so that they need not be
-            linearised again there; None: they never are.
+        prior_design_effect: of the residuals.
+        fixed: number of leading unknowns that stay at zero where residuals are linearised.
+        linear_range: (K,) change of each unknown up to which residuals need not be linearised
+            again; None: they always are.
     """
-    everyone, first = np.arange(len(pixels)), np.zeros(len(C))
-    few = np.linspace(0, len(pixels), min(len(pixels), _FIRST), endpoint=False, dtype=int)
-    found = linearised(first, few if linear is None else everyone)
-    started = slice(None) if linear is None else few
+    start, everyone, n = np.zeros(len(C)), np.arange(len(pixels)), len(pixels)
+    few = np.linspace(0, n, min(n, _STARTING), endpoint=False, dtype=int)
+    found = linearise(start, few if linear_range is None else everyone)
     y, A, M = found.residuals, found.by_coordinates, found.by_unknowns
-    # S is the prior covariance of the coordinates, w a change of them.
-    free = M[:, fixed:] @ C[fixed:, fixed:]
-    S = free @ M[:, fixed:].T
-    start = _best_hypothesis(y[started], A[started], S)
-    first[fixed:] = _reweighted(y[started], A[started], S, start) @ free
-    if linear is None or not linear(first):
-        found = linearised(first, everyone)
+    first = slice(None) if linear_range is None else few
+    C_free, M_free = C[fixed:, fixed:], M[:, fixed:]
+    S = M_free @ C_free @ M_free.T
+    N, b = _reweighted(y[first], A[first], S, _best_hypothesis(y[first], A[first], S))
+    start[fixed:] = posterior(M_free.T @ N @ M_free, M_free.T @ b, C_free)[0]
+    if linear_range is None or (np.abs(start) > linear_range).any():
+        found = linearise(start, everyone)
         y, A, M = found.residuals, found.by_coordinates, found.by_unknowns
-        y = y + A @ (M @ first)  # of the linear model about no change
+        y = y + A @ (M @ start)  # of the linear model about no change
     S = M @ C @ M.T
-    w = S @ _reweighted(y, A, S, M @ first)
-    weights, scale2 = tukey_weights(y - A @ w), noise_variance(y - A @ w)
-    normal = (y - A @ w) / np.sqrt(scale2)
-    inflation, blocks = design_effect(normal, pixels, size, expected_design_effect)
-    # Residuals do not show what of a smooth error the unknowns have absorbed.
-    noise, field = scale2 * inflation, systematic_inflation(weights, found.systematic)
+    N, b = _reweighted(y, A, S, M @ start)
+    e = y - A @ posterior(N, b, S)[0]
+    weights, variance = tukey_weights(e), noise_variance(e)
+    inflation, blocks = design_effect(e / np.sqrt(variance), pixels, size, prior_design_effect)
+    # The unknowns absorb most of a systematic error, so residuals do not show it.
+    noise, field = variance * inflation, systematic_inflation(weights, found.systematic)
     weighted = A * (weights / (noise + field))[:, None]
     N, b = weighted.T @ A, weighted.T @ y
-    pull = _pull(N, b, S)
-    w = S @ pull
-    scale = float(np.sqrt(scale2 / (1 - found.systematic)))
-    inliers = float((weights > INLIER).sum())
-    # What no change of the geometry explains is not known to be noise of another scale.
-    misfit = float(tukey_loss(y - A @ w).sum()) / expected_design_effect
-    misfit += float(2 * b @ w - w @ N @ w)
-    information, vector = M.T @ N @ M, M.T @ b
-    systematic = field / (noise + field)
-    says = Evidence(information, vector, inliers, scale, inflation, blocks, systematic, misfit)
-    return C @ (M.T @ pull), weights, says
+    w = posterior(N, b, S)[0]
+    misfit = float(tukey_loss(y - A @ w).sum()) / prior_design_effect
+    evidence = Evidence(
+        information=M.T @ N @ M,
+        vector=M.T @ b,
+        inliers=float((weights > INLIER).sum()),
+        match_scale=float(np.sqrt(variance / (1 - found.systematic))),
+        design_effect=inflation,
+        blocks=blocks,
+        systematic=field / (noise + field),
+        misfit=misfit + float(2 * b @ w - w @ N @ w),
+    )
+    return posterior(evidence.information, evidence.vector, C)[0], weights, evidence
 
 
 def _best_hypothesis(y: Array, A: Array, S: Array) -> Array:
-    """Return the change (k,) by three residuals and the prior that most others agree with.
-
-    S (k, k) is the prior covariance of the coordinates.
-    """
+    """Choose the change (k,) from three residuals and the prior with the least truncated cost."""
     AS = A @ S
     G = AS @ A.T
     triples = _triples(len(y))
     G3 = G[triples[:, :, None], triples[:, None, :]]
     pull = np.linalg.solve(G3 + np.eye(3), y[triples][..., None])[..., 0]
-    pull = np.concatenate([np.zeros((1, 3)), pull])  # and that nothing is wrong
+    pull = np.concatenate([np.zeros((1, 3)), pull])  # the first hypothesis is no change
     G3, triples = np.concatenate([G3[:1], G3]), np.concatenate([triples[:1], triples])
     predicted = (pull[:, None] @ G[triples])[:, 0]
     prior = np.einsum("hi,hij,hj->h", pull, G3, pull)
@@ -141,28 +135,18 @@ def _best_hypothesis(y: Array, A: Array, S: Array) -> Array:
 
 @lru_cache(maxsize=64)
 def _triples(residuals: int) -> np.ndarray:
-    """Return of which residuals (H, 3) each hypothesis is; the same whenever there are as many."""
+    """Draw the residuals (H, 3) of each hypothesis; the same for the same number of residuals."""
     return np.random.default_rng(0).integers(0, residuals, (_HYPOTHESES, 3))
 
 
-def _reweighted(y: Array, A: Array, S: Array, w: Array) -> Array:
-    """Return the `_pull` (k,) of iteratively reweighted least squares, which begin at a change w.
+def _reweighted(y: Array, A: Array, S: Array, w: Array) -> tuple[Array, Array]:
+    """Return the normal equations (k, k) and (k,) of iteratively reweighted least squares.
 
-    S (k, k) is the prior covariance of the coordinates.
+    It starts at a change w (k,) of the coordinates, whose prior covariance is S (k, k).
     """
-    pull = np.zeros(len(S))
-    for _ in range(_STEPS):
-        weighted: Array = A * tukey_weights(y - A @ w)[:, None]
-        pull = _pull(weighted.T @ A, weighted.T @ y, S)
-        w = S @ pull
-    return pull
-
-
-def _pull(N: Array, b: Array, S: Array) -> Array:
-    """Return (k,) by which normal equations and a prior covariance (k, k) change coordinates.
-
-    Coordinates change by S times it, and the unknowns by their prior covariance with the
-    coordinates times it. It exists even where the prior holds some of them fixed, so that S has no
-    inverse.
-    """
-    return np.asarray(np.linalg.solve(np.eye(len(S)) + N @ S, b), float)
+    N, b = np.zeros_like(S), np.zeros_like(w)
+    for _ in range(_ITERATIONS):
+        weighted = A * tukey_weights(y - A @ w)[:, None]
+        N, b = weighted.T @ A, weighted.T @ y
+        w = posterior(N, b, S)[0]
+    return N, b

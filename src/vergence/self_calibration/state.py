@@ -1,249 +1,182 @@
-"""What is known of a head and what a pair of images says of it: the data of self-calibration."""
+"""Data of the self-calibration filter: its state, and the estimate of one frame.
+
+The state vector is the change of the P head parameters that may be wrong. A frame adds the errors
+of its r joint readings; the readings of one keyframe stay in the state. With P, r and the keyframe
+there are K unknowns.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from vergence.arrays import Array
-from vergence.errors import VergenceError
-from vergence.geometry.head import HeadCalibration, pair_names, reading_stds
+from vergence.geometry.head import HeadCalibration
 from vergence.self_calibration.match_noise import (
-    EXPECTED_DESIGN_EFFECT,
-    EXPECTED_MATCH_SCALE,
-    Recurrence,
-)
-from vergence.self_calibration.prior import (
-    JOINT_STD_RAD,
-    LEAST_JOINT_STD_RAD,
-    Changed,
-    learned_names,
-    prior_covariance,
+    PRIOR_DESIGN_EFFECT,
+    PRIOR_MATCH_SCALE,
+    RevisitCorrelation,
 )
 from vergence.vision.matching.scene_features import Matches
 
-JOINT_WEIGHT = 5.0
-"""How many readings what is assumed of their noise counts for."""
-_LEAST_RATIO = 0.1
-"""Noise of a reading, relative to the others', that is assumed at least: none is exact."""
+PRIOR_READINGS = 5.0
+"""Weight of the prior noise of the readings, as a number of observed readings; an assumption."""
 FrameStatus = Literal["seen", "little seen", "contradiction"]
+HeadChange = Literal["camera turned", "head uncalibrated"]
+"""A camera was turned, or the head is outside the covariance of its calibration."""
 
 
 @dataclass(frozen=True, eq=False)
-class Origin:
-    """What was known of a head before it was learned, or when it was last found to have changed."""
+class PriorSnapshot:
+    """Head and covariance from which the filter started, or restarted after a change."""
 
     head: HeadCalibration
     covariance: Array
-    """(P, P) with what it may have drifted since."""
+    """(P, P), with the process noise since then."""
 
 
 @dataclass(frozen=True, eq=False)
-class SelfCalibration:
-    """What is known of a head so far, from its calibration and from what its eyes have seen."""
+class FilterState:
+    """Mean, covariance and noise levels of the self-calibration filter."""
 
     head: HeadCalibration
-    """As it is believed to be now."""
+    """Current mean."""
     cameras: tuple[str, str]
-    """The pair that is used."""
+    """Names of the left and the right camera."""
     names: tuple[str, ...]
-    """The P parameters that may be wrong, as in `parameters.parameter_names`."""
+    """The P estimated parameters, as in `parameters.parameter_names`."""
     covariance: Array
-    """(P, P) of them."""
-    origin: Origin
-    """From where it was learned."""
+    """(P, P)"""
+    prior: PriorSnapshot
     joint_std_rad: float
-    """Noise of the readings in terms of the joints that they turn: the standard deviation of each,
-    times its factor; rms over the readings."""
+    """Noise of the readings times their gear factors, rms over the readings."""
     noise_ratios: Array
     """(r,) standard deviation of each reading over `joint_std_rad`, as calibrated; constant."""
-    match_scale: float
-    """Noise of the matches, relative to what their contrast tells."""
     systematic_px: tuple[float, float] = (0.0, 0.0)
-    """Systematic errors of the two lenses, rms of one coordinate: of `Accuracy.systematic_px`."""
-    design_effect: float = EXPECTED_DESIGN_EFFECT
+    """Systematic error of each lens, rms of one coordinate, from `Accuracy.systematic_px`."""
+    match_scale: float = PRIOR_MATCH_SCALE
+    """Noise of the matches over the noise that their windows state."""
+    design_effect: float = PRIOR_DESIGN_EFFECT
     """Variance inflation by errors that neighbouring matches share."""
-    recurrence: Recurrence | None = None
-    """How far errors recur where the eyes stood before; None: no frame was learned."""
-    joint_weight: float = JOINT_WEIGHT
-    """Number of readings from which an estimate of their noise would be as certain as it is now."""
+    revisits: RevisitCorrelation | None = None
+    """Correlation of match errors with those of earlier frames; None before the first update."""
+    joint_weight: float = PRIOR_READINGS
+    """Number of readings from which `joint_std_rad` was estimated, the prior included."""
     frames: int = 0
-    """From which it was learned."""
+    """Number of updates."""
     time_s: float = 0.0
-    """Since it began, as `update.drifted` has counted."""
-    bumped: bool = False
-    """Whether the last frame showed that a camera had been turned."""
-    uncalibrated: bool = False
-    """Whether it showed that the head is farther from its calibration than the stated covariance
-    allows."""
+    """Since the start, summed by `kalman.predict`."""
+    change: HeadChange | None = None
+    """Change of the head that the last update detected."""
     settled: bool = False
-    """Whether the first frames are over, which are kept to be linearised again."""
-    past: tuple[Past, ...] = ()
-    """The last frames, by which a change is told from noise; all of the first ones."""
+    """Whether the initial frames are over, which are kept and relinearised."""
+    records: tuple[FrameRecord, ...] = ()
+    """The initial frames while they are relinearised; afterwards those of the change window."""
     keyframe: Keyframe | None = None
-    """From which features are tracked; None: there is none yet, or none that can be believed."""
+    """Frame from which features are tracked; None before the first and after a contradiction."""
 
     @property
     def reading_std_rad(self) -> Array:
         """(r,) noise of each reading."""
         return self.joint_std_rad * self.noise_ratios
 
-    @property
-    def before_frame(self) -> Array:
-        """(K, K) covariance of the P parameters and of the errors of r readings."""
-        P, stds = len(self.names), self.reading_std_rad
-        C = np.zeros(2 * (P + len(stds),))
-        C[:P, :P], C[P:, P:] = self.covariance, np.diag(stds**2)
-        return C
-
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What the matches of one frame say, as normal equations about the state's head."""
+    """Measurement of one frame as normal equations about a change from the state's head."""
 
     information: Array
-    """(K, K) of P parameters and r readings."""
+    """(K, K)"""
     vector: Array
-    """(K,): the information times the change that fits the matches best."""
+    """(K,) information times the change that minimises the residuals."""
     inliers: float
-    """How many matches fit."""
+    """Number of matches that fit."""
     match_scale: float
-    """Noise of the matches, relative to what the state assumes of them."""
+    """Noise of the residuals over their assumed noise."""
     design_effect: float
     """Variance inflation by errors that neighbouring matches share."""
     blocks: Array
-    """(B,) sums of residuals in blocks of the left image, of `match_noise.design_effect`."""
+    """(B,) sums of residuals in blocks of the left image, from `match_noise.design_effect`."""
     systematic: float
-    """Share of the variance of what they say that is by systematic errors of the lenses."""
+    """Share of the measurement's variance that is due to systematic lens errors."""
     misfit: float
-    """Twice the negative logarithm of the likelihood of no change, up to a constant of the
-    matches."""
-
-
-@dataclass(frozen=True, eq=False)
-class Past:
-    """A frame that may have to be estimated again."""
-
-    state: SelfCalibration
-    """Just before the frame; without past frames and keyframe of its own."""
-    seen: FrameEstimate
-    """The frame, without images."""
-    tracked: TrackedFeatures | None
-    """Features of an earlier frame that were found in it."""
-    likelihoods: tuple[float, ...]
-    """Logarithms, up to a constant, given the head as it was known and given each change that it
-    may have undergone before the frame."""
-
-
-@dataclass(frozen=True, eq=False)
-class Keyframe:
-    """An earlier frame whose features are found again, with its joint angles."""
-
-    readings: Array
-    """(r,) as they were, by which it is known again [rad]."""
-    images: tuple[np.ndarray, np.ndarray] | None
-    """(H, W) grey or (H, W, 3) RGB of both cameras; None: nothing can be found in them."""
-    joints: Array
-    """(r,) the readings then, corrected by all that was seen since [rad]."""
-    covariance: Array
-    """(r, r) of these."""
-    with_head: Array
-    """(P, r) covariance of the parameters of the head with these."""
-    pixels: tuple[Array, Array]
-    """(N, 2) of its features in each image."""
-    depths_m: tuple[Array, Array]
-    """(N,) of these along the optical axes."""
-
-
-@dataclass(frozen=True, eq=False)
-class TrackedFeatures:
-    """Features of a keyframe, found again."""
-
-    readings: Array
-    """(r,) of the keyframe [rad]."""
-    matches: tuple[Matches, Matches]
-    """Matches of then and now in the left and in the right camera."""
-    depths_m: tuple[Array, Array]
-    """(N,) then, along the optical axes."""
+    """Minus twice the log likelihood of no change, up to a constant of the matches."""
 
 
 @dataclass(frozen=True, eq=False)
 class FrameEstimate:
-    """A head and its joint angles at the moment of a pair of images."""
+    """Head and joint angles at the moment of a pair of images."""
 
     head: HeadCalibration
     cameras: tuple[str, str]
     joints: Array
-    """(r,) the readings, corrected [rad]."""
+    """(r,) corrected readings [rad]."""
     readings: Array
-    """(r,) as they were [rad]."""
+    """(r,) measured readings [rad]."""
     names: tuple[str, ...]
     covariance: Array
     """(P + r, P + r) of the head's parameters and the corrected readings."""
     matches: Matches
     weights: Array
-    """(N,) from 0, a match that does not fit, to 1."""
+    """(N,) robust weights, from 0 for an outlier to 1."""
     status: FrameStatus
     evidence: Evidence | None
     """None: too few matches fit."""
+    novelty: float = 1.0
+    """Equivalent number of independent frames that this one adds to the earlier ones."""
     images: tuple[np.ndarray, np.ndarray] | None = None
-    """In which the matches were found; None: matches were given without images."""
+    """Grey images of both cameras, to track features; None: there are only matches."""
 
 
-def initial_self_calibration(
-    head: HeadCalibration,
-    *,
-    cameras: tuple[str, str] | None = None,
-    changed: Changed = "little",
-) -> SelfCalibration:
-    """Return what is known of a head before its eyes have seen anything.
+@dataclass(frozen=True, eq=False)
+class FrameRecord:
+    """A frame that may be estimated again."""
 
-    Args:
-        head: with a camera in each eye.
-        cameras: names of the left and the right camera that see the scene; None: the main ones.
-        changed: what may have changed since the calibration: nothing, little or anything. In the
-            last case usual tolerances take the place of its covariance; noise is kept.
+    state: FilterState
+    """Predicted state before the frame, without records and keyframe."""
+    estimate: FrameEstimate
+    """Without images."""
+    tracked: TrackedFeatures | None
+    log_likelihoods: tuple[float, ...]
+    """Up to a constant: without a change of the head, and after each hypothetical change."""
 
-    Raises:
-        VergenceError: the head has one eye, no joint readings, or was calibrated with measured eye
-            poses; or `changed` is another word.
-    """
-    if changed not in get_args(Changed):
-        raise VergenceError(f"changed is {' or '.join(get_args(Changed))}, found {changed!r}.")
-    pair = pair_names(head, cameras)
-    accuracy = head.accuracy
-    if accuracy is not None and accuracy.eye_motion == "poses":
-        raise VergenceError(
-            "Self-calibration corrects joint readings; this head was calibrated with measured eye "
-            "poses, so that nothing is known of its joints."
-        )
-    if not head.kinematics.readings:
-        raise VergenceError(
-            "Self-calibration follows eyes that move by their joint readings; this head has none."
-        )
-    if accuracy is not None and changed == "anything":
-        unknown = replace(accuracy, parameters=(), covariance=np.empty((0, 0)), lenses={})
-        head = replace(head, accuracy=unknown)
-    names = learned_names(head, pair)
-    factors = head.kinematics.factors
-    stds = reading_stds(head) * factors
-    if not stds.any():
-        stds = np.full(len(factors), JOINT_STD_RAD)
-    std = float(np.sqrt(np.mean(stds**2)))
-    ratios = np.maximum(stds / std, _LEAST_RATIO) / factors
-    systematic = accuracy.systematic_px if accuracy else {}
-    left, right = (systematic.get(name, 0.0) for name in pair)
-    C = prior_covariance(head, names, pair, moved=changed != "nothing")
-    return SelfCalibration(
-        head=head,
-        cameras=pair,
-        names=names,
-        covariance=C,
-        origin=Origin(head, C),
-        joint_std_rad=max(std, float(LEAST_JOINT_STD_RAD)),
-        noise_ratios=ratios,
-        match_scale=EXPECTED_MATCH_SCALE,
-        systematic_px=(left, right),
-    )
+
+@dataclass(frozen=True, eq=False)
+class Keyframe:
+    """Earlier frame whose features are tracked, with its joint angles as part of the state."""
+
+    readings: Array
+    """(r,) measured readings, which identify the keyframe [rad]."""
+    images: tuple[np.ndarray, np.ndarray] | None
+    """(H, W) grey; None: features cannot be tracked."""
+    joints: Array
+    """(r,) estimated readings [rad]."""
+    covariance: Array
+    """(r, r)"""
+    cross_covariance: Array
+    """(P, r) of the head's parameters with the joints."""
+    pixels: tuple[Array, Array]
+    """(N, 2) features in each image."""
+    depths_m: tuple[Array, Array]
+    """(N,) depths of the features along the optical axes."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrackedFeatures:
+    """Features of a keyframe that were found in a later frame."""
+
+    readings: Array
+    """(r,) of the keyframe [rad]."""
+    matches: tuple[Matches, Matches]
+    """Pixels at the keyframe and now, in the left and in the right camera."""
+    depths_m: tuple[Array, Array]
+    """(N,) at the keyframe, along the optical axes."""
+
+
+def frame_covariance(state: FilterState) -> Array:
+    """Return the prior covariance (P + r, P + r) of head and readings in a frame."""
+    C = block_diag(state.covariance, np.diag(state.reading_std_rad**2))
+    return np.asarray(C, float)

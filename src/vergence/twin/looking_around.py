@@ -10,7 +10,7 @@ from vergence.accuracy.motions import SLOWEST_S, eye_angles
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.progress import Progress, silent
-from vergence.self_calibration.sequence import SeenGeometry, update_geometry
+from vergence.self_calibration.calibrator import VisualGeometry, update_geometry
 from vergence.twin.calibration_sequence import straight_neck
 from vergence.twin.head import Twin
 
@@ -45,11 +45,11 @@ def look_around(twin: Twin, cameras: Sequence[str], *, run: int) -> Iterator[Fra
 
 
 def learn_by_looking(
-    twin: Twin, geometry: SeenGeometry, *, run: int, progress: Progress = silent
-) -> SeenGeometry:
+    twin: Twin, geometry: VisualGeometry, *, run: int, progress: Progress = silent
+) -> VisualGeometry:
     """Return the geometry after the twin has looked around; see `look_around`."""
     total = len(look_times())
-    for done, frame in enumerate(look_around(twin, geometry.known.cameras, run=run), start=1):
+    for done, frame in enumerate(look_around(twin, geometry.state.cameras, run=run), start=1):
         geometry = update_geometry(geometry, frame)
         progress("looking around", done, total)
     return geometry

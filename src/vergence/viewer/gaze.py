@@ -181,8 +181,8 @@ def log_gaze_frame(
         truth=truth,
     )
     geometry = state.geometry
-    if geometry is not None and geometry.learned_s == frame.time_s:
-        log_learned(rec, settings.calibration, geometry.known)
+    if geometry is not None and geometry.updated_s == frame.time_s:
+        log_learned(rec, settings.calibration, geometry.state)
     if not pictures:
         return
     if geometry is not None and geometry.latest is not None and geometry.time_s == frame.time_s:

@@ -15,12 +15,12 @@ import rerun.blueprint as rrb
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import parameter_values
 from vergence.self_calibration.robust_fit import INLIER
-from vergence.self_calibration.state import FrameEstimate, SelfCalibration
+from vergence.self_calibration.state import FilterState, FrameEstimate
 from vergence.viewer import style
 from vergence.viewer.layout import camera_entities, curves_view
 
 
-def learned_entities(known: SelfCalibration) -> dict[str, str]:
+def learned_entities(known: FilterState) -> dict[str, str]:
     """Return by parameter that is plotted its entity: gains of the joints and focal lengths."""
     found = {}
     for name in known.names:
@@ -32,7 +32,7 @@ def learned_entities(known: SelfCalibration) -> dict[str, str]:
     return found
 
 
-def log_seen_styles(rec: rr.RecordingStream, head: HeadCalibration, known: SelfCalibration) -> None:
+def log_seen_styles(rec: rr.RecordingStream, head: HeadCalibration, known: FilterState) -> None:
     """Record the names and colours of curves and marks."""
     for name, entity in learned_entities(known).items():
         short = entity.rpartition("/")[2]
@@ -56,9 +56,7 @@ def log_matches(rec: rr.RecordingStream, head: HeadCalibration, seen: FrameEstim
         rec.log(f"{entities[camera]}/matches", points)
 
 
-def log_learned(
-    rec: rr.RecordingStream, calibration: HeadCalibration, known: SelfCalibration
-) -> None:
+def log_learned(rec: rr.RecordingStream, calibration: HeadCalibration, known: FilterState) -> None:
     """Record what was learned since the calibration, with its deviation, at the time that was set.
 
     Gains by their difference, focal lengths by their ratio.
