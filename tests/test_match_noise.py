@@ -18,6 +18,7 @@ from vergence.self_calibration.match_noise import (
     RevisitCorrelation,
     design_effect,
     filled_share,
+    frame_novelty,
     predict_revisits,
     revisit_inflation,
     update_revisits,
@@ -75,16 +76,20 @@ def test_a_lens_that_departs_from_its_model_as_stated_makes_nothing_too_certain(
     assert distances[1] < len(state.names)
 
 
+def inflation_at(before: RevisitCorrelation | None, posture: np.ndarray) -> float:
+    return revisit_inflation(before, frame_novelty(before, posture))
+
+
 def test_a_frame_counts_by_what_its_posture_adds():
     """At one posture n frames tell as much as n / (1 + c (n - 1)) independent ones."""
     joints, blocks = np.zeros(4), np.ones(8)
     before, told, c, everywhere = None, 0.0, 0.3, 0.005
     for n in range(1, 6):
-        told += 1 / revisit_inflation(before, joints)
+        told += 1 / inflation_at(before, joints)
         assert told == pytest.approx(n / (1 + (c + everywhere) * (n - 1)))
         # Of what is not in common at any posture.
-        after, inflation = update_revisits(before, joints, blocks)
-        assert inflation == revisit_inflation(before, joints)
+        novelty = frame_novelty(before, joints)
+        after = update_revisits(before, joints, novelty=novelty, blocks=blocks)
         before = replace(after, correlation=c / (1 - everywhere))
     # Elsewhere, or much later, all but what frames have in common at any posture is new.
     K = (1 - c - everywhere) * np.eye(6) + c + everywhere
@@ -92,8 +97,8 @@ def test_a_frame_counts_by_what_its_posture_adds():
     new = 1 / (np.linalg.solve(K, np.ones(6)).sum() - told)
     assert 1 < new < 1.2
     elsewhere = joints + np.radians(60)
-    assert revisit_inflation(before, elsewhere) == pytest.approx(new, abs=1e-3)
-    assert revisit_inflation(predict_revisits(before, 7200.0), joints) == pytest.approx(1, abs=1e-3)
+    assert inflation_at(before, elsewhere) == pytest.approx(new, abs=1e-3)
+    assert inflation_at(predict_revisits(before, 7200.0), joints) == pytest.approx(1, abs=1e-3)
 
 
 @pytest.mark.parametrize("systematic", [0.0, 0.3])
@@ -101,8 +106,14 @@ def test_no_number_of_frames_tells_more_than_what_they_have_in_common_allows(sys
     told, before, rng = 0.0, None, np.random.default_rng(0)
     everywhere = systematic + (1 - systematic) * 0.005
     for joints in rng.uniform(-100, 100, (1000, 4)):  # postures without a common neighbour
-        told += 1 / revisit_inflation(before, joints)
-        before, _ = update_revisits(before, joints, np.ones(8), systematic)
+        told += 1 / inflation_at(before, joints)
+        before = update_revisits(
+            before,
+            joints,
+            novelty=frame_novelty(before, joints),
+            blocks=np.ones(8),
+            systematic=systematic,
+        )
     assert told == pytest.approx(1000 / (1 + everywhere * 999), rel=1e-6)
     assert told < 1 / everywhere
 
@@ -117,7 +128,7 @@ def test_no_frame_tells_more_than_one_that_shares_no_errors(seed, n, apart_deg, 
     rng = np.random.default_rng(seed)
     joints = np.radians(apart_deg) * rng.normal(size=(n + 1, 4))
     before = RevisitCorrelation(joints[1:], rng.uniform(0, 1200, n), np.ones((n, 4)), correlation)
-    assert revisit_inflation(predict_revisits(before, rng.uniform(0, 10)), joints[0]) >= 1 - 1e-9
+    assert inflation_at(predict_revisits(before, rng.uniform(0, 10)), joints[0]) >= 1 - 1e-9
 
 
 @pytest.mark.parametrize(("width", "height"), [(320, 240), (640, 480), (500, 333), (3000, 2000)])

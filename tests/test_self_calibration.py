@@ -34,7 +34,8 @@ from vergence.geometry.parameters import (
     redundant_offsets,
 )
 from vergence.geometry.projection import project_point
-from vergence.self_calibration import learning, prior
+from vergence.self_calibration import filter as self_calibration_filter
+from vergence.self_calibration import prior
 from vergence.self_calibration.filter import learned_head, update
 from vergence.self_calibration.frame import estimate_from_matches, locate_in_frame
 from vergence.self_calibration.kalman import predict
@@ -305,14 +306,14 @@ def test_axes_that_are_off_do_not_pass_for_other_errors_without_a_stated_covaria
 def test_the_first_frames_are_linearised_again_at_their_end_though_one_was_not_believed(
     monkeypatch,
 ):
-    found, again = [], learning._linearised_again
+    found, again = [], self_calibration_filter.relinearise
 
     def counted(past, after):
         found.append(len(past))
         return again(past, after)
 
-    monkeypatch.setattr(learning, "_LINEARISED_AGAIN", (2, 4, 8))
-    monkeypatch.setattr(learning, "_linearised_again", counted)
+    monkeypatch.setattr(self_calibration_filter, "_RELINEARISED", (2, 4, 8))
+    monkeypatch.setattr(self_calibration_filter, "relinearise", counted)
     head, rng = head_of(1), np.random.default_rng(1)
     state, points = begin(head), room(300, rng)
     for k, angles in enumerate(postures(8, rng)):
@@ -326,7 +327,7 @@ def test_the_first_frames_are_linearised_again_at_their_end_though_one_was_not_b
 
 
 def test_a_head_that_is_known_better_than_it_drifts_stays_where_it_is_known():
-    """What was known before the first frames says little of a head that has predict since."""
+    """What was known before the first frames says little of a head that has drifted since."""
     rng, head = np.random.default_rng(2), head_of(2)
     stated = begin(head)
     tight = Accuracy("bundle", parameters=stated.names, covariance=1e-4 * stated.covariance)

@@ -17,6 +17,7 @@ from simulated_frames import (
     postures,
 )
 from simulated_matches import drawn_head, matches, room, squared_distance, tracked_features
+from vergence.estimation.linear import posterior
 from vergence.geometry.camera import pinhole, unproject
 from vergence.geometry.parameters import boxminus, boxplus, parameter_names
 from vergence.geometry.projection import project_point
@@ -308,9 +309,10 @@ def test_the_keyframe_outlives_frames_that_show_nothing():
 
 def told(state, seen, tracked, inflation=1.0):
     """Return what features tell beside the prior, and the change (K,) that they make."""
-    prior = augmented_covariance(state)
-    N, b = add_tracked(state, seen, tracked, inflation, prior, np.zeros(len(prior)))
-    return np.linalg.norm(N - prior), np.linalg.solve(N, b) / np.sqrt(np.diag(np.linalg.inv(prior)))
+    C = augmented_covariance(state)
+    zero = np.zeros_like(C), np.zeros(len(C))
+    N, b = add_tracked(state, seen, tracked, *zero, inflation=inflation)
+    return np.linalg.norm(N), posterior(N, b, C)[0] / np.sqrt(np.diag(C))
 
 
 def test_features_tell_as_little_as_the_posture_of_their_frame_is_new():

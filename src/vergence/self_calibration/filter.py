@@ -109,7 +109,12 @@ def _with_joints_of(keyframe: Keyframe | None, again: Keyframe | None) -> Keyfra
     """Return a keyframe with its joints as they were estimated again; None: they were not."""
     if keyframe is None or again is None or not np.array_equal(keyframe.readings, again.readings):
         return None
-    return replace(again, images=keyframe.images)
+    return replace(
+        keyframe,
+        joints=again.joints,
+        covariance=again.covariance,
+        cross_covariance=again.cross_covariance,
+    )
 
 
 def learned_head(state: FilterState) -> HeadCalibration:

@@ -36,7 +36,7 @@ _UNKNOWNS = 5
 """Degrees of freedom of a stereo pair."""
 _WINDOWS_RAD, _SURFACES_RAD = np.radians([1.2, 13.0])
 """Scales of the correlation over the distance of postures, half exp(-x) and half exp(-x^2); fitted
-to 800 rendered pairs with correlations of 0.36 within 1 degree, 0.14 at 5, 0.07 at 13, 0.01 at 22."""
+to 800 rendered pairs with correlations of 0.36 within 1 degree, 0.14 at 5, 0.07 at 13."""
 _FADING_S = 600.0
 """Decay time of the correlation, so that a drifted head is learned again; with 120 s the squared
 Mahalanobis distances of nine rendered minutes are 1.2 to 1.4 times as large."""

@@ -41,7 +41,7 @@ MAJORITY = 0.5
 GATE = 1e-7
 """Tail probability of the innovation gate."""
 LINEAR_RAD = 0.005
-"""Error of a joint angle up to which residuals are linear: to 0.01 px at focal lengths of 800 px."""
+"""Error of a joint angle up to which residuals are linear: to 0.01 px at a focal length of 800."""
 
 
 @dataclass(frozen=True, eq=False)
