@@ -240,10 +240,10 @@ def _observation_findings(
         )
         return [warning("nothing-learned", f"{reason}: the calibration is returned as it was.")]
     by_motion = [p for p in parameters if p.name.endswith(".fx") or is_gain(p.name)]
-    if any(p.verdict != "not observed" for p in by_motion):
+    if any(p.verdict == "observed" for p in by_motion):
         return []
     sentence = (
-        "Focal lengths and gains were not observed, as in little motion in parallel: record eyes "
+        "Neither a focal length nor a gain was observed, as in little parallel motion: record eyes "
         "whose vergence changes by 3 degrees, or that turn by 8 degrees."
     )
     return [warning("parallel-motion", sentence)]
