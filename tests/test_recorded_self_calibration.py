@@ -9,7 +9,7 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from moving_frames import GAIN, HEAD, frame, frames, one_eyed, turn_error
+from moving_frames import GAIN, HEAD, frames, one_eyed, turn_error
 from texts import texts
 from vergence import cli
 from vergence.arrays import Array
@@ -25,7 +25,7 @@ from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics, Side, pan_tilt
 from vergence.geometry.parameters import change_named
 from vergence.self_calibration import recorded as recorded_self_calibration
-from vergence.self_calibration.prior import Changed, MOVED, USUAL, initial_state
+from vergence.self_calibration.prior import MOVED, USUAL, Changed, initial_state
 from vergence.self_calibration.recorded import self_calibrate
 
 
@@ -193,16 +193,6 @@ def test_a_camera_that_stands_otherwise_than_calibrated_is_named(recorded):
     said = "right_wide.T_eye_cam.ry changed by more than 4 prior standard deviations"
     assert not any("changed by more than" in each for each in texts(calibrated.findings))
     assert any(each.startswith(said) for each in texts(self_calibrate(data, turned).findings))
-
-
-def test_little_motion_in_parallel_is_said_to_show_little(tmp_path, slow_setup):
-    rows = []
-    for k, pan in enumerate(np.radians([0.0, 2.5, 5.0])):
-        angles = np.array([pan, 0.0, pan, 0.0])
-        rows.append(DatasetRow(frame(float(k), angles, angles), k, False))
-    write_dataset(tmp_path / "little", DESCRIPTION, rows)
-    found = self_calibrate(load_dataset(tmp_path / "little"), HEAD)
-    assert any(each.code == "parallel-motion" for each in found.findings)
 
 
 def other_names() -> HeadCalibration:

@@ -13,7 +13,7 @@ from vergence.errors import VergenceError, counted, listed
 from vergence.findings import Finding, by_severity, warning
 from vergence.geometry.head import HeadCalibration, states_covariance
 from vergence.geometry.kinematics import straight_gaze
-from vergence.geometry.parameters import change_between, is_gain
+from vergence.geometry.parameters import change_between
 from vergence.geometry.projection import project_point
 from vergence.progress import Progress, silent
 from vergence.self_calibration.calibrator import (
@@ -163,8 +163,17 @@ def self_calibrate(
         findings += _unexpected_findings(parameters)
     joints = both.joints[rows] * head.kinematics.factors
     moved = bool(np.abs(joints - joints[0]).max() >= MOVED_RAD)
-    findings += _observation_findings(parameters, state, moved=moved)
     findings += _frame_findings(head, len(rows), seen)
+    if not state.frames:
+        reason = (
+            "No frame after the first showed enough of the scene to both eyes where the "
+            "calibration expects it"
+            if moved
+            else "The eyes did not move, so that nothing that persists can be told from errors of "
+            "the readings"
+        )
+        sentence = f"{reason}: the calibration is returned as it was."
+        findings.append(warning("nothing-learned", sentence))
     return SelfCalibrationResult(
         head=learned_head(state) if state.frames else head,
         parameters=parameters,
@@ -224,29 +233,6 @@ def _unexpected_findings(parameters: tuple[LearnedParameter, ...]) -> list[Findi
         "`--changed anything` drops the accuracy that the calibration states."
     )
     return [warning("parameters-changed", sentence, ", ".join(names))]
-
-
-def _observation_findings(
-    parameters: tuple[LearnedParameter, ...], state: FilterState, *, moved: bool
-) -> list[Finding]:
-    """Report that nothing was learned, or neither focal lengths nor gains."""
-    if not state.frames:
-        reason = (
-            "No frame after the first showed enough of the scene to both eyes where the "
-            "calibration expects it"
-            if moved
-            else "The eyes did not move, so that nothing that persists can be told from errors of "
-            "the readings"
-        )
-        return [warning("nothing-learned", f"{reason}: the calibration is returned as it was.")]
-    by_motion = [p for p in parameters if p.name.endswith(".fx") or is_gain(p.name)]
-    if any(p.verdict == "observed" for p in by_motion):
-        return []
-    sentence = (
-        "Neither a focal length nor a gain was observed, as in little parallel motion: record eyes "
-        "whose vergence changes by 3 degrees, or that turn by 8 degrees."
-    )
-    return [warning("parallel-motion", sentence)]
 
 
 def _frame_findings(head: HeadCalibration, frames: int, seen: int) -> list[Finding]:
