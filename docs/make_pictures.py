@@ -94,26 +94,25 @@ def of_paper(run: Path) -> None:
 def of_comparison(run: Path) -> None:
     """Replay Figs. 6 and 7 into a folder, and draw by how much depth is wrong, by method."""
     from vergence.paper.comparison import LEARNED, SINGLE
-    from vergence.paper.reproduce import reproduce
+    from vergence.paper.reproduce import ReproductionSettings, reproduce
     from vergence.twin.profile import load_profile
 
-    done = reproduce(
+    settings = ReproductionSettings(
         run,
         figures=(6, 7),
         profile=load_profile("paper"),
-        seed=0,
         duration_s=COMPARED_S,
         rate_hz=COMPARED_HZ,
         compare=True,
-        jobs=-1,
     )
+    done = reproduce(settings, jobs=-1)
     canvas, all_axes = panels(2, "Error of the depth of a fixed object while the eyes move")
     for axes, (_, replay) in zip(all_axes, sorted(done.replays.items()), strict=True):
         true_m, time_s = replay.figure.mean_m[0], replay.measurements.time_s
         estimates = {
             "joint readings": (replay.points, BLUE, 0.8),
-            "single frames": (replay.others[SINGLE].points, "darkorange", 1.1),
-            "learned": (replay.others[LEARNED].points, "black", 1.4),
+            "single frames": (replay.others[SINGLE], "darkorange", 1.1),
+            "learned": (replay.others[LEARNED], "black", 1.4),
         }
         for name, (points, colour, width) in estimates.items():
             error_mm = 1e3 * (points[:, 0] - true_m)

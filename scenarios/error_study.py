@@ -24,8 +24,6 @@ from vergence.errors import check_seed
 from vergence.files import markdown_table, read_parsed, results_folder, write_whole
 from vergence.paper.error_model import (
     PAPER_MM,
-    TABLE_CAMERA_MM,
-    TABLE_MOUNTING_DEG,
     Errors,
     sampled_mm,
     spread_mm,
@@ -49,10 +47,9 @@ SOURCES = {
 
 def sensitivities() -> dict[str, Array]:
     """Return by source the spreads (6, 3) [mm] that one unit of it makes."""
-    heads = {
-        lens: true_head(lens, 75.0, TABLE_CAMERA_MM, TABLE_MOUNTING_DEG)
-        for lens in ("2.8mm", "4.0mm")
-    }
+    cameras_mm = ((4.0, 1.0, 10.0), (3.0, -1.5, 10.5))
+    mountings_deg = ((0.8, -0.5, 0.7), (-0.6, 0.9, -0.5))
+    heads = {lens: true_head(lens, 75.0, cameras_mm, mountings_deg) for lens in ("2.8mm", "4.0mm")}
     return {
         name: np.array(
             [

@@ -15,7 +15,7 @@ from typing import Annotated, Literal
 import tyro
 
 from vergence.cli.terminal import plain_ending
-from vergence.paper.reproduce import reproduce
+from vergence.paper.reproduce import ReproductionSettings, reproduce
 from vergence.twin.profile import load_profile
 
 FIGURES = {"near": (6, 7), "far": (8, 9), "longer-lens": (10, 11)}
@@ -41,7 +41,7 @@ def main(
         rate: Samples per second [Hz]; default: 640 samples per figure.
     """
     figures = FIGURES[pair]
-    done = reproduce(
+    settings = ReproductionSettings(
         out or Path("runs") / pair,
         figures=figures,
         profile=load_profile(profile),
@@ -49,6 +49,7 @@ def main(
         duration_s=duration,
         rate_hz=rate,
     )
+    done = reproduce(settings)
     parallel, divergent = (done.replays[number].statistics for number in figures)
     for number, found in zip(figures, (parallel, divergent), strict=True):
         x, y, z = 1e3 * found.std_m

@@ -12,7 +12,7 @@ from vergence.errors import VergenceError
 from vergence.paper import plots
 from vergence.paper.figures import FIGURES, default_duration_s
 from vergence.paper.plots import draw_figures, save_figures
-from vergence.paper.replay import Estimates, Replay, estimate
+from vergence.paper.replay import Replay, estimate
 from vergence.stereo.depth_error import depth_error
 from vergence.twin.model import nominal_head
 from vergence.twin.profile import ErrorProfile, Joints
@@ -55,8 +55,7 @@ def test_each_figure_has_a_panel_with_its_estimates(numbers: tuple[int, ...]):
 def test_where_methods_are_compared_the_legend_hides_no_curve():
     def compared(number: int) -> Replay:
         own = result(number)
-        stds = np.zeros(len(own.points))
-        return replace(own, others={"learned": Estimates(own.points, stds, own.statistics)})
+        return replace(own, others={"learned": own.points})
 
     canvas = draw_figures([compared(number) for number in (8, 9)])
     canvas.draw_without_rendering()

@@ -56,7 +56,7 @@ def replay_of(points: np.ndarray) -> Replay:
     """Return a replay with these estimates (N, 3)."""
     unseen = np.full((SAMPLES, 2), np.nan)
     seen = Measurements(TIMES, eye_angles(FIGURE.motion, TIMES), unseen, unseen)
-    return Replay(FIGURE, seen, points, describe(points))
+    return Replay(FIGURE, seen, points)
 
 
 def noisy_image(rng: np.random.Generator) -> np.ndarray:

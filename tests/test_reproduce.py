@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -19,7 +20,7 @@ from vergence.paper import reproduce as main_job
 from vergence.paper.figures import FIGURES
 from vergence.paper.replay import describe, estimate, sample_times
 from vergence.paper.report import Reproduction, report
-from vergence.paper.reproduce import reproduce
+from vergence.paper.reproduce import ReproductionSettings, reproduce
 from vergence.twin import looking_around
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import Shot, plan
@@ -96,7 +97,7 @@ def run(tmp_path_factory, opengl: None) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(plan.__kwdefaults__, "views", (4, 3, 8))
         patch.setattr(main_job, "SAMPLES_WITH_IMAGES", 4)
-        reproduce(out, figures=(7, 6), profile=load_profile("paper"), seed=0, **short)
+        reproduce(ReproductionSettings(out, (7, 6), load_profile("paper"), **short))
     return out
 
 
@@ -188,9 +189,10 @@ def simulated_views(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_methods_are_compared_on_the_same_images(tmp_path, monkeypatch):
     monkeypatch.setattr(looking_around, "LOOK_S", 1.0)
     profile = load_profile("paper")
-    short = {"figures": (7,), "profile": profile, "seed": 0, "duration_s": 9, "rate_hz": 1}
-    reproduce(tmp_path / "paper", **short)
-    reproduce(tmp_path / "all", method="self-calibrated", compare=True, floor=True, **short)
+    settings = ReproductionSettings(tmp_path / "paper", (7,), profile, duration_s=9, rate_hz=1)
+    reproduce(settings)
+    every = {"method": "self-calibrated", "compare": True, "floor": True}
+    reproduce(replace(settings, out=tmp_path / "all", **every))
     paper, found = (statistics(tmp_path / name) for name in ("paper", "all"))
     assert "methods" not in paper
     methods = {name: each["figures"]["7"] for name, each in found["methods"].items()}
@@ -214,10 +216,11 @@ def test_figures_are_the_same_one_after_another_and_in_processes_of_their_own(
     tmp_path, monkeypatch
 ):
     monkeypatch.setattr(looking_around, "LOOK_S", 0.5)
-    short = {"profile": load_profile("paper"), "seed": 1, "duration_s": 1, "rate_hz": 2}
     turns, beside = (tmp_path / name for name in ("turns", "beside"))
-    reproduce(turns, figures=(6, 7), compare=True, **short)
-    reproduce(beside, figures=(6, 7), compare=True, jobs=2, **short)
+    profile, short = load_profile("paper"), {"duration_s": 1, "rate_hz": 2}
+    settings = ReproductionSettings(turns, (6, 7), profile, seed=1, compare=True, **short)
+    reproduce(settings)
+    reproduce(replace(settings, out=beside), jobs=2)
     learned = [f"fig{number:02d}-learned.json" for number in (6, 7)]
     for name in ("statistics.json", "report.md", "figures.png", "calibration-2.8mm.json", *learned):
         assert (turns / name).read_bytes() == (beside / name).read_bytes()
@@ -236,13 +239,17 @@ def test_a_seed_gives_its_digits_even_if_interrupted_and_another_seed_others(tmp
     monkeypatch.setitem(plan.__kwdefaults__, "views", (3, 3, 3))
     replay, shown = main_job.replay, {}
     alone, partly, other = (tmp_path / name for name in ("alone", "partly", "other"))
-    short = {"profile": load_profile("paper"), "duration_s": 1, "rate_hz": 3}
-    reproduce(alone, figures=(6,), seed=1, **short)
-    short["progress"] = lambda task, done, total: shown.update({task: (done, total)})
+    profile, short = load_profile("paper"), {"duration_s": 1, "rate_hz": 3}
+    settings = ReproductionSettings(alone, (6,), profile, seed=1, **short)
+    reproduce(settings)
+
+    def progress(task: str, done: int, total: int) -> None:
+        shown[task] = done, total
+
     with monkeypatch.context() as patch:
         patch.setattr(main_job, "replay", interrupted)
         with pytest.raises(KeyboardInterrupt):
-            reproduce(partly, figures=(6, 7), seed=1, **short)
+            reproduce(replace(settings, out=partly, figures=(6, 7)), progress=progress)
     arguments = "--figures 6 --duration 1 --rate 3 --seed 2 --profile paper --out"
     monkeypatch.setattr(sys, "argv", ["vergence", "reproduce", *arguments.split(), str(other)])
     cli.main()

@@ -63,30 +63,29 @@ def reproduce(
     """
     from vergence.cli.outputs import check_outputs
     from vergence.paper.report import TITLE
-    from vergence.paper.reproduce import RESULTS, check
+    from vergence.paper.reproduce import RESULTS, ReproductionSettings
     from vergence.paper.reproduce import reproduce as replay_figures
+    from vergence.parallel import process_count
     from vergence.twin.profile import load_profile
 
-    chosen = load_profile(profile)
-    check(figures=figures, seed=seed, duration_s=duration, rate_hz=rate, jobs=jobs)
+    settings = ReproductionSettings(
+        out,
+        figures,
+        load_profile(profile),
+        seed=seed,
+        scene=scene,
+        duration_s=duration,
+        rate_hz=rate,
+        method=method,
+        compare=compare,
+        floor=floor,
+    )
+    process_count(jobs)
     check_outputs(folder=out, names=RESULTS, title=TITLE)
     if (out / "statistics.json").exists():
         print(f"Replacing the results of an earlier run in {out}.")
     with progress_bars(out) as progress:
-        done = replay_figures(
-            out,
-            figures=figures,
-            profile=chosen,
-            scene=scene,
-            seed=seed,
-            duration_s=duration,
-            rate_hz=rate,
-            method=method,
-            compare=compare,
-            floor=floor,
-            jobs=jobs,
-            progress=progress,
-        )
+        done = replay_figures(settings, jobs=jobs, progress=progress)
     recordings = [f"fig{number:02d}.rrd" for number in sorted(done.replays)]
     files = (
         f"Wrote {' '.join(recordings)}, figures.png, report.md and statistics.json to {out}.\n"

@@ -1,4 +1,4 @@
-"""Self-calibration beside the paper's method, on the same images and readings of a replay."""
+"""Compare self-calibration with the paper's method on the images and readings of a replay."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from vergence.vision.sphere import STD_PX
 
 PAPER, SINGLE, LEARNED, FLOOR = "paper", "single-frame", "learned", "floor"
 _KNOWN = 1e-8
-"""Share of the prior's covariance that is left where the true head is given."""
+"""Factor of the prior's covariance where the true head is given."""
 _NECK = np.zeros(3)
-"""Readings of the neck, which rests."""
+"""Readings of the neck, which rests [rad]."""
 
 
 @dataclass(eq=False)
@@ -34,13 +34,11 @@ class Comparison:
     """Self-calibration in one figure, fed frame by frame."""
 
     states: dict[str, FilterState]
-    """What is known of the head, by method that does not learn."""
+    """Prior of the head, by method that does not learn."""
     learning: VisualGeometry
-    """What is known of the head by the one that does; it changes with every frame."""
+    """What is learned of the head; it changes with every frame."""
     points: dict[str, list[Array]]
     """Position (3,) [m] in frame lbase of each sample, by method; NaN: not located."""
-    stds: dict[str, list[float]]
-    """Stated standard deviation of depth [m] of each sample, by method."""
 
     def add(
         self, images: Mapping[str, np.ndarray], joints: Array, pixels: Mapping[str, Array], t: float
@@ -58,7 +56,6 @@ class Comparison:
                 seen, left=pixels[left][None], right=pixels[right][None], pixel_std_px=STD_PX
             )
             self.points[method].append(found.xyz[0])
-            self.stds[method].append(float(np.sqrt(found.covariance[0, 0, 0])))
             if method == LEARNED:
                 self.learning = update_with_estimate(self.learning, seen, _NECK)
 
@@ -66,24 +63,21 @@ class Comparison:
 def comparison(
     head: HeadCalibration, twin: Twin, learning: VisualGeometry, *, floor: bool
 ) -> Comparison:
-    """Return a comparison for a calibration, before its first sample.
+    """Start a comparison for a calibration.
 
     Args:
         head: the calibration.
-        twin: the head whose truth the floor is given.
+        twin: the head, whose truth the floor is given.
         learning: what was learned so far.
-        floor: whether to compare also with the true head, for evaluation.
+        floor: whether to compare with the true head, for evaluation.
     """
     states = {SINGLE: before_looking(head).state}
     if floor:
         known = initial_state(with_sensors(twin.truth, twin.profile.joints))
         states[FLOOR] = replace(known, covariance=known.covariance * _KNOWN)
-    methods = (SINGLE, LEARNED, *states)
-    return Comparison(
-        states, learning, {each: [] for each in methods}, {each: [] for each in methods}
-    )
+    return Comparison(states, learning, {method: [] for method in (SINGLE, LEARNED, *states)})
 
 
 def before_looking(head: HeadCalibration) -> VisualGeometry:
-    """Return what is known of a head before its first frame."""
+    """Start self-calibration of a head before its first frame."""
     return initial_visual_geometry(head, changed="nothing")  # the twin was calibrated for this

@@ -1,8 +1,8 @@
-"""A point model of the paper's experiment: error sources in, the spreads of Figs. 6-11 out.
+"""Point model of the paper's experiment: predict the spreads of Figs. 6-11 from error sources.
 
-No images and no calibration: a head whose believed values differ from the true ones by stated
-errors. Errors that are locked to the motion are computed exactly, white noise by the covariance of
-the located points.
+There are no images and no calibration: the believed head differs from the true one by stated
+errors. Errors that follow the motion are computed exactly, white noise by the covariance of the
+located points.
 """
 
 from __future__ import annotations
@@ -27,17 +27,14 @@ from vergence.twin.profile import Lens
 
 FOCAL_PX: dict[Lens, float] = {"2.8mm": 280.0, "4.0mm": 400.0}
 PIXEL_UM = 10.0
-"""Pitch of the pixels: a sensor 6.4 mm wide with 640 columns."""
+"""Pitch of the pixels [um]: a sensor 6.4 mm wide with 640 columns."""
 _UP = np.array([1.0, -1.0, 1.0, -1.0])
-"""In this study's version of Eqs. 22-23 positive tilt looks up."""
-TABLE_CAMERA_MM = ((4.0, 1.0, 10.0), (3.0, -1.5, 10.5))
-TABLE_MOUNTING_DEG = ((0.8, -0.5, 0.7), (-0.6, 0.9, -0.5))
-"""Mountings of the left and the right camera in the table of sensitivities."""
+"""Signs of the joints: in this study's version of Eqs. 22-23 positive tilt looks up."""
 
 
 @dataclass(frozen=True)
 class Errors:
-    """Sources of errors; pairs are those of the left and the right eye."""
+    """Sources of errors; pairs are for the left and the right eye."""
 
     baseline_mm: float = 92.0
     """Baseline of the true head, which the paper does not state."""
@@ -65,7 +62,7 @@ def true_head(
     camera_mm: tuple[tuple[float, ...], ...] = ((20.0, 0.0, 0.0),) * 2,
     mounting_deg: tuple[tuple[float, ...], ...] = ((0.0, 0.0, 0.0),) * 2,
 ) -> HeadCalibration:
-    """Return a head of two wide cameras; by default these look ahead, 20 mm before the axes."""
+    """Build a head of two wide cameras; by default they look ahead, 20 mm before the axes."""
     cameras = {
         f"{eye}_wide": MountedCamera(
             eye=eye,
@@ -80,9 +77,9 @@ def true_head(
 
 
 def believed_head(truth: HeadCalibration, lens: Lens, errors: Errors) -> HeadCalibration:
-    """Return the head with wrong values, and T_rbase_lbase from them by Eq. 10.
+    """Apply errors to a head, and recompute T_rbase_lbase by Eq. 10.
 
-    Straight gaze stays exact, as on a robot, whose static stereo was calibrated there.
+    Straight gaze stays exact, where the static stereo of a robot is calibrated.
     """
     focal = errors.focal_28_percent if lens == "2.8mm" else errors.focal_40_percent
     cameras = {}
@@ -103,9 +100,9 @@ def believed_head(truth: HeadCalibration, lens: Lens, errors: Errors) -> HeadCal
 def spread_mm(
     figure: Figure, errors: Errors, *, samples: int = 240, truth: HeadCalibration | None = None
 ) -> Array:
-    """Return the standard deviations (3,) [mm] of a figure's estimates over its combined period.
+    """Predict the standard deviations (3,) [mm] of a figure's estimates over its combined period.
 
-    NaN where a sample cannot be located. The truth is by default that of `true_head`.
+    NaN if a sample cannot be located. The truth is by default that of `true_head`.
     """
     believed, seen = _measured(figure, errors, samples, truth)
     found = locate(
@@ -121,7 +118,7 @@ def spread_mm(
 
 
 def sampled_mm(figure: Figure, errors: Errors, seed: int, *, samples: int = 6000) -> Array:
-    """Return what `spread_mm` does, with the noise drawn in every sample."""
+    """Simulate what `spread_mm` predicts, with the noise drawn in each sample."""
     rng = np.random.default_rng([seed, figure.number])
     believed, seen = _measured(figure, errors, samples, None)
     for name, std in (
@@ -136,25 +133,21 @@ def sampled_mm(figure: Figure, errors: Errors, seed: int, *, samples: int = 6000
 def _measured(
     figure: Figure, errors: Errors, samples: int, truth: HeadCalibration | None
 ) -> tuple[HeadCalibration, dict[str, Any]]:
-    """Return the believed head, and pixels and readings without noise, as `locate` takes them."""
+    """Simulate the believed head, and exact pixels and readings as arguments of `locate`."""
     truth = truth or true_head(figure.lens, errors.baseline_mm)
     time_s = np.arange(samples) * PERIOD_S[figure.motion] / samples
     angles = eye_angles(figure.motion, time_s) * _UP
     gains = np.array([errors.pan_gain_percent, errors.tilt_gain_percent]).T.ravel()
     sensed = eye_angles(figure.motion, time_s - 1e-3 * errors.delay_ms) * _UP
     left, right = (project_point(truth, name, angles, np.array(figure.mean_m)) for name in WIDE)
-    joints = (1 + gains / 100) * sensed
-    return believed_head(truth, figure.lens, errors), {
-        "left": left,
-        "right": right,
-        "joints": joints,
-    }
+    seen = {"left": left, "right": right, "joints": (1 + gains / 100) * sensed}
+    return believed_head(truth, figure.lens, errors), seen
 
 
 def spreads_mm(errors: Errors) -> Array:
-    """Return the standard deviations (6, 3) [mm] of all figures."""
+    """Predict the standard deviations (6, 3) [mm] of all figures."""
     return np.array([spread_mm(figure, errors) for figure in FIGURES.values()])
 
 
 PAPER_MM = 1e3 * np.array([figure.std_m for figure in FIGURES.values()])
-"""(6, 3) the paper's."""
+"""Standard deviations (6, 3) [mm] of the paper's captions."""

@@ -1,4 +1,4 @@
-"""The paper's Figs. 6-11: settings and printed results.
+"""Settings and printed results of the paper's Figs. 6-11.
 
 Source: A. Ude and E. Oztop, "Active 3-D Vision on a Humanoid Head", captions of Figs. 6-11.
 """
@@ -15,7 +15,7 @@ from vergence.twin.profile import Lens
 
 @dataclass(frozen=True)
 class Figure:
-    """One experiment: the head locates a fixed object while its eyes move."""
+    """One experiment, in which the head locates a fixed object while its eyes move."""
 
     number: int
     motion: Motion
@@ -45,5 +45,5 @@ FIGURES = {
 
 
 def default_duration_s(motion: Motion) -> float:
-    """Return the full combined period, repeated to at least 60 s: below, the std depends on it."""
+    """Compute the combined period, repeated to at least 60 s: shorter runs change the std."""
     return float(PERIOD_S[motion] * np.ceil(60 / PERIOD_S[motion]))

@@ -1,4 +1,4 @@
-"""Plots of the paper's Figs. 6-11, with its statistics beside ours."""
+"""Plot the paper's Figs. 6-11, with its statistics and ours."""
 
 from __future__ import annotations
 
@@ -14,16 +14,17 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.offsetbox import AnchoredOffsetbox, HPacker, TextArea, VPacker
 
 from vergence.paper.figures import Figure
-from vergence.paper.replay import Replay, Statistics
+from vergence.paper.replay import Replay, Statistics, describe
 from vergence.viewer.plots.canvas import BLUE, DPI, GREEN, RED, save
 
 _COLOURS = (BLUE, GREEN, RED)  # x, y, z
 _OTHERS = ("orange", "black", "0.5")
-"""Colours of the depth by other methods, one after the other."""
+"""Colours of the depth by other methods, in their order."""
 _PANEL_INCHES, _HEADING_INCHES = (8.0, 5.8), 0.6
-_FIRST = 6  # from here in pairs: parallel motion on the left, divergent on the right
+_FIRST = 6
+"""Number of the first figure; parallel motion is on the left, divergent on the right."""
 _LEGEND = 0.25
-"""Share of a panel's height that is added above the curves where methods are compared."""
+"""Room for the legend above the curves, as a share of a panel's height."""
 _STYLE: dict[str, Any] = {"fontsize": 12}
 
 
@@ -33,10 +34,9 @@ def save_figures(path: Path, results: Sequence[Replay]) -> None:
 
 
 def draw_figures(results: Sequence[Replay]) -> Canvas:
-    """Draw figures as the paper does: estimated positions over time.
+    """Draw estimated positions over time, as the paper does.
 
-    Panels of a row have the same scale, so that parallel and divergent motion can be compared.
-    Results may be in any order.
+    Panels of a row have the same scale, to compare parallel with divergent motion.
     """
     place = {result.figure.number: divmod(result.figure.number - _FIRST, 2) for result in results}
     rows = sorted({row for row, _ in place.values()})
@@ -78,8 +78,8 @@ def _panel(axes: Axes, result: Replay) -> None:
         axes.axhline(mean, color=colour, linewidth=0.9, linestyle=(0, (6, 4)), alpha=0.8)
         axes.plot(time_s, result.points[:, k], color=colour, linewidth=0.8)
     for (method, other), colour in zip(result.others.items(), _OTHERS, strict=False):
-        label = f"depth, {method}: σ {1e3 * other.statistics.std_m[0]:.1f} mm"
-        axes.plot(time_s, other.points[:, 0], color=colour, linewidth=0.8, label=label)
+        label = f"depth, {method}: σ {1e3 * describe(other).std_m[0]:.1f} mm"
+        axes.plot(time_s, other[:, 0], color=colour, linewidth=0.8, label=label)
     if result.others:
         axes.legend(loc="upper right", fontsize=10)
     axes.set_xlabel("time [s]", **_STYLE)
@@ -94,7 +94,7 @@ def _panel(axes: Axes, result: Replay) -> None:
 
 
 def table_cells(figure: Figure, statistics: Statistics) -> list[list[str]]:
-    """Return the table's columns: axes, mean ± std in the paper and here, ratio of the two std."""
+    """Make the table's columns: axes, mean ± std in the paper and here, ratio of the two std."""
     columns = [["", "x = depth", "y", "z"], ["paper [mm]"], ["here [mm]"], ["std here / paper"]]
     for k in range(3):
         paper_mm, paper_std_mm = 1e3 * figure.mean_m[k], 1e3 * figure.std_m[k]
@@ -109,7 +109,7 @@ def table_cells(figure: Figure, statistics: Statistics) -> list[list[str]]:
 
 
 def _table(axes: Axes, figure: Figure, statistics: Statistics) -> Artist:
-    """Return the table, midway between the curve of x and the others, where it hides neither."""
+    """Place the table midway between the curve of x and the others, where it hides neither."""
     packed: list[Artist] = []
     for column in table_cells(figure, statistics):
         cells: list[Artist] = [

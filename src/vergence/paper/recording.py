@@ -1,4 +1,4 @@
-"""The recording of one replayed figure: its layout, curves, trails and statistics."""
+"""Record one replayed figure: layout, curves, trails and statistics."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ def figure_recording(
 ) -> Iterator[rr.RecordingStream]:
     """Record a figure in a `with` block, as `recording_file` does.
 
-    `beside` is a method whose estimates run beside those of the result; `known` is a head that
-    learns from the images, whose matches and parameters are shown.
+    `beside` is a method whose estimates are shown with those of the result; `known` is a head that
+    learns from the images, and its matches and parameters are shown.
     """
     layout = blueprint(figure, head, beside=beside, learns=known is not None)
     with recording_file(path, figure.title, layout, head, geoms) as rec:
@@ -85,9 +85,9 @@ def log_results(
 ) -> None:
     """Record a figure's estimates as curves and as a trail in space, and its statistics.
 
-    Samples that were not located are left out. The head serves for the lines of sight;
-    `T_world_lbase` (4, 4) is the pose of the left eye's base frame in the world. Of the method
-    `beside` the estimates are recorded as curves too.
+    Samples that were not located are left out. The head is that of the lines of sight;
+    `T_world_lbase` (4, 4) is the pose of the left eye's base frame in the world. `beside` is a
+    method whose estimates are recorded as curves too.
     """
     figure, statistics = result.figure, result.statistics
     time_s, eye_angles = result.measurements.time_s, result.measurements.eye_angles
@@ -107,7 +107,7 @@ def log_results(
             if len(time_s) and np.isfinite(levels).all():
                 ends = time_columns(time_s[[0, -1]], index[[0, -1]])
                 rec.send_columns(f"{kind}/{axis}", ends, rr.Scalars.columns(scalars=levels))
-    others = np.full((0, 3), np.nan) if beside is None else result.others[beside].points
+    others = np.full((0, 3), np.nan) if beside is None else result.others[beside]
     there = np.isfinite(others).all(axis=1)
     for k, axis in enumerate(style.AXIS_COLOURS if there.any() else ()):
         run = rr.Scalars.columns(scalars=others[there, k])
@@ -129,7 +129,7 @@ def log_results(
 def blueprint(
     figure: Figure, head: HeadCalibration, *, beside: str | None = None, learns: bool = False
 ) -> rrb.Blueprint:
-    """Return the layout with which the viewer opens a figure's recording."""
+    """Make the layout with which the viewer opens a figure's recording."""
     other = "" if beside is None else f", orange {beside}"
     kinds = ("paper", "estimate_mean", "estimate", "beside")
     axes = [

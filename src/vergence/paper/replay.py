@@ -1,10 +1,11 @@
-"""Replay one of the paper's figures: locate a fixed object in every sample while the eyes move."""
+"""Replay one of the paper's figures: locate a fixed object in each sample while the eyes move."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,7 +25,8 @@ from vergence.vision.sphere import find_sphere
 
 SAMPLES = 640
 """Samples per figure, evenly spaced; with 600, standard deviations vary by 2-3 % with the seed."""
-_LEAD_S = 1.0  # the eyes reach the trajectory before the first sample
+_LEAD_S = 1.0
+"""Time in which the eyes reach the trajectory before the first sample [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +57,15 @@ class Statistics:
     """Samples in which the object was not found, or its rays did not meet."""
 
 
+def describe(points: Array) -> Statistics:
+    """Compute the statistics of points (N, 3) [m]; rows with NaN are dropped samples."""
+    good = points[np.isfinite(points).all(axis=1)]
+    mean, std = np.full((2, 3), np.nan)
+    if len(good) >= 2:
+        mean, std = good.mean(0), good.std(0, ddof=1)
+    return Statistics(mean, std, len(good), len(points) - len(good))
+
+
 @dataclass(frozen=True, eq=False)
 class Replay:
     """One replayed figure; the object is at the mean that the paper prints."""
@@ -63,31 +74,24 @@ class Replay:
     measurements: Measurements
     points: Array
     """(N, 3) estimated positions [m] in the left eye's base frame; NaN: not located."""
-    statistics: Statistics
-    others: dict[str, Estimates] = field(default_factory=dict)
-    """What other methods made of the same images and readings, by method."""
+    others: dict[str, Array] = field(default_factory=dict)
+    """The same by other methods, from the same images and readings."""
 
-
-@dataclass(frozen=True, eq=False)
-class Estimates:
-    """What one method made of a figure's images and readings."""
-
-    points: Array
-    """(N, 3) [m] in the left eye's base frame; NaN: not located."""
-    depth_std_m: Array
-    """(N,) the standard deviation of depth that the method states."""
-    statistics: Statistics
+    @cached_property
+    def statistics(self) -> Statistics:
+        """Statistics of the points."""
+        return describe(self.points)
 
 
 def sample_times(figure: Figure, duration_s: float | None, rate_hz: float | None) -> Array:
-    """Return the times (N,) [s] of a figure's samples, in whole milliseconds.
+    """Compute the times (N,) [s] of a figure's samples, in whole milliseconds.
 
     The default duration is the figure's full combined period, at least 60 s; without a rate there
     are SAMPLES samples, whatever the duration.
     """
     duration = default_duration_s(figure.motion) if duration_s is None else duration_s
     count = SAMPLES if rate_hz is None else round(duration * rate_hz)
-    # Whole milliseconds, since the physics steps in them.
+    # The physics steps in milliseconds.
     return np.round(np.arange(count) * duration / count, 3)
 
 
@@ -109,29 +113,28 @@ def replay(
         calibration: the estimated calibration of the head.
         figure: the figure to replay.
         times_s: (N,) times of the samples, rising.
-        observer: is called with every sample in its order, from another thread, with the arguments
-            of `viewer.frame.log_frame` by name.
-        image_every: every Nth sample is rendered by all cameras, and the observer gets its images;
-            the others only by the wide cameras, which the estimation uses.
-        compared: other methods, which get every sample in its order.
+        observer: function that gets each sample in its order, from another thread, as arguments of
+            `viewer.frame.log_frame` by name.
+        image_every: every Nth sample is rendered by all cameras, for the observer; the others by
+            the wide cameras, which the estimation uses.
+        compared: other methods, which get each sample in its order.
         progress: is called after each sample.
     """
-    start = _LEAD_S
     twin.restart(figure.number)
     twin.place_object(np.array(figure.mean_m))
 
     def command(time_s: float) -> Array:
-        return straight_neck(eye_angles(figure.motion, np.array(time_s - start)))
+        return straight_neck(eye_angles(figure.motion, np.array(time_s - _LEAD_S)))
 
     task = f"figure {figure.number}, {figure.motion}"
     progress(task, 0, len(times_s))
-    twin.advance(start / 2, command(start))  # to the first posture
+    twin.advance(_LEAD_S / 2, command(_LEAD_S))  # to the first posture
     pending = []
-    # One worker: images are developed and searched while the next ones render.
+    # A worker develops and searches images while the next ones render.
     with ThreadPoolExecutor(max_workers=1) as worker:
         try:
             for index, time_s in enumerate(times_s):
-                twin.advance(start + time_s, command)
+                twin.advance(_LEAD_S + time_s, command)
                 complete = observer is not None and index % image_every == 0
                 exposure = twin.expose(tuple(twin.truth.cameras) if complete else WIDE)
                 if index >= 3:
@@ -151,21 +154,17 @@ def replay(
     result = estimate(calibration, figure, Measurements(times_s, angles, pixels_l, pixels_r))
     if compared is None:
         return result
-    points = {method: np.array(each) for method, each in compared.points.items()}
-    others = {
-        method: Estimates(each, np.array(compared.stds[method]), describe(each))
-        for method, each in points.items()
-    }
+    others = {method: np.array(points) for method, points in compared.points.items()}
     return replace(result, others=others)
 
 
 class _Sample(NamedTuple):
-    """What is exposed at one time, and the truth then, for recordings."""
+    """An exposure, and the truth at its time for recordings."""
 
     number: int
     time_s: float
     complete: bool
-    """Whether all cameras are rendered."""
+    """Whether all cameras were rendered."""
     exposure: Exposure
     eyes: Array
     """(4,) true angles [rad]."""
@@ -181,9 +180,9 @@ def _measured(
     observer: Callable[..., None] | None,
     compared: Comparison | None,
 ) -> tuple[Array, dict[str, Array]]:
-    """Return the joint readings (4,), and by camera the object's pixel (2,).
+    """Develop a sample, show it to observer and other methods, and detect the object.
 
-    Observer and other methods get the sample; see `replay`.
+    Returns the joint readings (4,), and the object's pixel (2,) by camera.
     """
     frame = twin.develop(sample.exposure)
     detected = {
@@ -206,7 +205,7 @@ def _measured(
 
 
 def estimate(calibration: HeadCalibration, figure: Figure, measurements: Measurements) -> Replay:
-    """Locate the object in all samples, and compute the statistics of its positions."""
+    """Locate the object in all samples."""
     points, _ = triangulate_at(
         calibration,
         left=measurements.pixels_l,
@@ -214,20 +213,11 @@ def estimate(calibration: HeadCalibration, figure: Figure, measurements: Measure
         joints=measurements.eye_angles,
         cameras=WIDE,
     )
-    return Replay(figure, measurements, points, describe(points))
-
-
-def describe(points: Array) -> Statistics:
-    """Return the statistics of points (N, 3) [m]; rows with NaN count as dropped samples."""
-    good = points[np.isfinite(points).all(axis=1)]
-    mean, std = np.full((2, 3), np.nan)
-    if len(good) >= 2:
-        mean, std = good.mean(0), good.std(0, ddof=1)
-    return Statistics(mean, std, len(good), len(points) - len(good))
+    return Replay(figure, measurements, points)
 
 
 def as_plain(figure: Figure, ours: Statistics) -> dict[str, Any]:
-    """Return a figure's results and the paper's beside them, as plain values for JSON."""
+    """Convert a figure's results, and the paper's, to plain values for JSON."""
     return {
         "paper_mean_m": list(figure.mean_m),
         "paper_std_m": list(figure.std_m),
@@ -239,19 +229,16 @@ def as_plain(figure: Figure, ours: Statistics) -> dict[str, Any]:
     }
 
 
-def chosen(result: Replay, method: str) -> Replay:
-    """Return a replay whose points are those of another method; its own become `paper`."""
+def show_method(result: Replay, method: str) -> Replay:
+    """Exchange a replay's points for those of another method; its own become `paper`."""
     if method == PAPER:
         return result
-    taken = result.others[method]
-    own = Estimates(result.points, np.full(len(result.points), np.nan), result.statistics)
-    others = {PAPER: own, **result.others}
-    return replace(result, points=taken.points, statistics=taken.statistics, others=others)
+    return replace(
+        result, points=result.others[method], others={PAPER: result.points, **result.others}
+    )
 
 
 def summaries(result: Replay) -> dict[str, dict[str, Any]]:
-    """Return what `as_plain` does for each method that was compared; empty: none was."""
-    others = {name: each.statistics for name, each in result.others.items()}
-    if others and PAPER not in others:
-        others = {PAPER: result.statistics, **others}
-    return {method: as_plain(result.figure, each) for method, each in others.items()}
+    """Convert the results of all methods as `as_plain` does; empty if only one was used."""
+    points = {PAPER: result.points, **result.others} if result.others else {}
+    return {method: as_plain(result.figure, describe(each)) for method, each in points.items()}

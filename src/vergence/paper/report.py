@@ -1,4 +1,4 @@
-"""The results as text: report.md, and the page inside each recording."""
+"""Write report.md, and the page inside each recording."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from vergence.paper.replay import Replay, summaries
 from vergence.stereo.depth_error import depth_error, disparity_error
 from vergence.stereo.extrinsics import stereo_poses
 from vergence.twin.looking_around import LOOK_S
-from vergence.twin.profile import ErrorProfile, Joints
+from vergence.twin.profile import ErrorProfile
 from vergence.twin.sensors import read
 
 TITLE = "# Figs. 6-11"
@@ -26,47 +26,39 @@ TITLE = "# Figs. 6-11"
 
 @dataclass(frozen=True, eq=False)
 class Reproduction:
-    """All results of a run so far."""
+    """Results of a run so far."""
 
     profile: ErrorProfile
     seed: int
     calibrations: dict[str, SequentialCalibration]
-    """Calibrations as they were estimated, by lens."""
+    """Estimated calibrations by lens."""
     heads: dict[str, HeadCalibration]
-    """Heads as they are used, with the calibration errors that the profile injects, by lens."""
+    """Heads that the replays use by lens, with the calibration errors of the profile."""
     replays: dict[int, Replay]
-    """Replays by number of the figure."""
-
-
-def _orientation_error(result: Replay, joints: Joints) -> float:
-    """Return the standard deviation [rad] of the error in the angle between the cameras.
-
-    That error is what the joint sensors add to the difference of the two pan readings along the
-    figure's motion: noise, quantisation, gain and delay (backlash is left out).
-    """
-    times = result.measurements.time_s
-    true = eye_angles(result.figure.motion, times)
-    sensed = eye_angles(result.figure.motion, times - joints.delay_ms * 1e-3)
-    wrong = read(sensed, joints, np.random.default_rng(0)) - true
-    return float((wrong[:, 0] - wrong[:, 2]).std())
+    """Replays by the number of the figure."""
 
 
 def _depth_std_from_joints(result: Replay, profile: ErrorProfile, head: HeadCalibration) -> float:
-    """Return the standard deviation of depth [m] that Eqs. 20-21 predict from the joint sensors.
+    """Predict the standard deviation of depth [m] from the joint sensors by Eqs. 20-21.
 
-    Depth and baseline are those of the camera centres at straight gaze. Eqs. 20-21, as the paper
-    uses them, leave out errors of the calibration and of image matching.
+    The error of the angle between the cameras is that of the difference of the two pan readings
+    along the figure's motion: noise, quantisation, gain and delay, without backlash. Depth and
+    baseline are those of the camera centres at straight gaze. The equations leave out errors of the
+    calibration and of image matching.
     """
+    times, joints = result.measurements.time_s, profile.joints
+    sensed = eye_angles(result.figure.motion, times - joints.delay_ms * 1e-3)
+    error = read(sensed, joints, np.random.default_rng(0)) - eye_angles(result.figure.motion, times)
+    orientation_std = float((error[:, 0] - error[:, 2]).std())
     T_lbase_lcam, T_rcam_lcam = stereo_poses(head, straight_gaze(head.kinematics), cameras=WIDE)
     baseline = float(np.linalg.norm(T_rcam_lcam[:3, 3]))
     depth = result.figure.mean_m[0] - T_lbase_lcam[0, 3]
     focal = head.camera("left_wide").intrinsics.matrix[0, 0]
-    wrong = _orientation_error(result, profile.joints)
-    return float(depth_error(depth, baseline, focal, disparity_error(focal, wrong)))
+    return float(depth_error(depth, baseline, focal, disparity_error(focal, orientation_std)))
 
 
 def figure_report(result: Replay, profile: ErrorProfile, head: HeadCalibration) -> str:
-    """Return the markdown page that goes into a figure's recording."""
+    """Write the markdown page for a figure's recording."""
     figure, ours = result.figure, result.statistics
     columns = zip("xyz", figure.mean_m, ours.mean_m, ours.std_m, figure.std_m, strict=True)
     rows = [
@@ -88,7 +80,7 @@ Error profile `{profile.name}`: {profile.description} {_fitted_line(profile)}
 
 
 def report(done: Reproduction) -> str:
-    """Return the text of report.md."""
+    """Write the text of report.md."""
     profile = done.profile
     replays = [done.replays[number] for number in sorted(done.replays)]
     parts = [
@@ -168,7 +160,7 @@ def _mean_table(replays: Sequence[Replay]) -> str:
 
 
 def _comparison(replays: Sequence[Replay]) -> list[str]:
-    """Return the depth of all methods side by side; nothing if there is but one."""
+    """Compare the depth of all methods; empty if only one was used."""
     compared = {result.figure.number: summaries(result) for result in replays}
     methods = list(dict.fromkeys(method for each in compared.values() for method in each))
     if not methods:

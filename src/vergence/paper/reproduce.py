@@ -1,4 +1,4 @@
-"""Reproduce the paper: build the head, calibrate it, replay the figures, write the results."""
+"""Reproduce the paper: build the twin, calibrate it, replay the figures, write the results."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from vergence.paper.comparison import LEARNED, PAPER, Comparison, before_looking
 from vergence.paper.figures import FIGURES, Figure
 from vergence.paper.plots import save_figures
 from vergence.paper.recording import figure_recording, log_results
-from vergence.paper.replay import Replay, as_plain, chosen, replay, sample_times, summaries
+from vergence.paper.replay import Replay, as_plain, replay, sample_times, show_method, summaries
 from vergence.paper.report import Reproduction, figure_report, report
-from vergence.parallel import process_count, run_tasks
+from vergence.parallel import run_tasks
 from vergence.progress import Progress, silent
 from vergence.self_calibration.calibrator import VisualGeometry
 from vergence.self_calibration.filter import learned_head
@@ -47,121 +47,125 @@ RESULTS = (
 )
 """Files in the folder of the results, besides learned heads."""
 _LOOKING = 100
-"""Number of the run in which the learned head first looks around; those of figures are theirs."""
+"""Number of the run in which the learned head first looks around; figures have their own."""
 SAMPLES_WITH_IMAGES = 160
-"""About how many samples of a figure have their images in the recording, which keeps it small."""
+"""Approximate number of samples of a figure with images in the recording, to keep it small."""
 
 
 @dataclass(frozen=True)
-class _Settings:
-    """What is replayed, and how; see `reproduce`."""
+class ReproductionSettings:
+    """Settings of `reproduce`.
+
+    Raises VergenceError if they cannot be met.
+    """
 
     out: Path
+    """Folder of the results; it is made if it does not exist."""
+    figures: Sequence[int]
+    """Numbers of the paper's figures."""
     profile: ErrorProfile
-    seed: int
-    scene: Scene
-    duration_s: float | None
-    rate_hz: float | None
-    method: ReplayMethod
-    compare: bool
-    floor: bool
+    """Error profile of the twin."""
+    seed: int = 0
+    """Seed of everything random."""
+    scene: Scene = "room"
+    """What the head looks at."""
+    duration_s: float | None = None
+    """Length of each replay; None: its full combined period, at least 60 s."""
+    rate_hz: float | None = None
+    """Samples per second; None: SAMPLES per figure."""
+    method: ReplayMethod = "paper"
+    """Method whose results are plotted and stand under `figures`: the paper's, or the geometry that
+    is learned from the same images."""
+    compare: bool = False
+    """Whether to state the results of the other methods."""
+    floor: bool = False
+    """Whether to state those of self-calibration that is given the true head, for evaluation."""
+
+    def __post_init__(self) -> None:
+        unknown = [number for number in self.figures if number not in FIGURES]
+        if unknown or not self.figures:
+            asked = f"figure {unknown[0]}" if unknown else "no figure"
+            raise VergenceError(f"Asked for {asked}; the paper's experiments are figures 6 to 11.")
+        check_seed(self.seed)
+        for name, unit, value, most in (
+            ("duration", "s", self.duration_s, 3600),
+            ("rate", "Hz", self.rate_hz, 200),
+        ):
+            if value is not None and not 0 < value <= most:
+                raise VergenceError(
+                    f"The {name} must be above 0 and at most {most} {unit}, found {value}."
+                )
+        for figure in self.chosen_figures:
+            times = sample_times(figure, self.duration_s, self.rate_hz)
+            if len(times) < 2 or (np.diff(times) <= 0).any():
+                raise VergenceError(
+                    f"A duration of {self.duration_s} s at {self.rate_hz or 'the default rate'} "
+                    "gives samples less than 1 ms apart, or fewer than two; ask for a longer or "
+                    "slower run."
+                )
 
     @property
-    def learns(self) -> bool:
-        """Whether there is self-calibration."""
-        return self.compare or self.floor or self.method != "paper"
+    def chosen_figures(self) -> list[Figure]:
+        """The figures in their order, each once."""
+        return [FIGURES[number] for number in sorted(set(self.figures))]
 
     def twin(self, lens: Lens) -> Twin:
-        """Return the twin with wide cameras of a lens."""
+        """Build the twin with wide cameras of a lens."""
         return Twin(self.profile, seed=self.seed, lens=lens, scene=self.scene)
 
 
 def reproduce(
-    out: Path,
-    *,
-    figures: Sequence[int],
-    profile: ErrorProfile,
-    seed: int,
-    scene: Scene = "room",
-    duration_s: float | None = None,
-    rate_hz: float | None = None,
-    method: ReplayMethod = "paper",
-    compare: bool = False,
-    floor: bool = False,
-    jobs: int = 1,
-    progress: Progress = silent,
+    settings: ReproductionSettings, *, jobs: int = 1, progress: Progress = silent
 ) -> Reproduction:
     """Replay figures and write recordings, plots, report and statistics into a folder.
 
-    Results are written after each figure, so that an interrupted run loses only unfinished ones.
+    Results are written after each figure, so that an interrupted run loses unfinished ones only.
     The number of jobs does not change them.
 
     Args:
-        out: folder of the results; made if it is not there.
-        figures: numbers of the paper's figures.
-        profile: the error profile of the twin.
-        seed: of everything random.
-        scene: what the head looks at.
-        duration_s: length of each replay; None: its full combined period, at least 60 s.
-        rate_hz: samples per second; None: 640 samples per figure.
-        method: whose results are plotted and stand under `figures`: the paper's, or those of
-            the geometry that is learned from the same images.
-        compare: also state the results of the other methods.
-        floor: also those of self-calibration that is given the true head, for evaluation.
+        settings: what is replayed, and how.
         jobs: processes, as of `parallel.run_tasks`; -1: one for each core.
         progress: is called after each view of a calibration and each sample of a figure.
 
     Raises:
-        VergenceError: an argument cannot be met, or the folder cannot be written.
+        VergenceError: a file cannot be written.
     """
-    wanted = check(figures=figures, seed=seed, duration_s=duration_s, rate_hz=rate_hz, jobs=jobs)
-    settings = _Settings(
-        out, profile, seed, scene, duration_s, rate_hz, method, compare=compare, floor=floor
-    )
-    done = Reproduction(profile, seed, {}, {}, {})
-    with results_folder(out):
-        try:
-            _replay_all(settings, wanted, done, jobs, progress)
-        finally:
-            if done.replays:
-                save_figures(out / "figures.png", list(done.replays.values()))
-    return done
-
-
-def _replay_all(
-    settings: _Settings,
-    figures: Sequence[Figure],
-    done: Reproduction,
-    jobs: int,
-    progress: Progress,
-) -> None:
-    """Replay figures, and add each to what is done when its files are written."""
-    lenses: list[Lens] = list(dict.fromkeys(figure.lens for figure in figures))
-    prepared: dict[Lens, tuple[HeadCalibration, VisualGeometry | None]] = {}
+    done = Reproduction(settings.profile, settings.seed, {}, {}, {})
+    figures = settings.chosen_figures
+    learned: dict[Lens, VisualGeometry | None] = {}
 
     def calibrated(
         found: tuple[Lens, SequentialCalibration, HeadCalibration, VisualGeometry | None],
     ) -> None:
-        lens, done.calibrations[lens], done.heads[lens], learning = found
-        prepared[lens] = done.heads[lens], learning
+        lens, done.calibrations[lens], done.heads[lens], learned[lens] = found
 
     def replayed(found: Replay) -> None:
         done.replays[found.figure.number] = found
         _write(settings.out, done)
 
-    tasks = [partial(_prepare, settings, lens) for lens in lenses]
-    run_tasks(tasks, calibrated, jobs=jobs, progress=progress)
-    replays = [partial(_replay, settings, *prepared[each.lens], each) for each in figures]
-    run_tasks(replays, replayed, jobs=jobs, progress=progress)
+    with results_folder(settings.out):
+        try:
+            lenses: list[Lens] = list(dict.fromkeys(each.lens for each in figures))
+            tasks = [partial(_prepare, settings, lens) for lens in lenses]
+            run_tasks(tasks, calibrated, jobs=jobs, progress=progress)
+            replays = [
+                partial(_replay, settings, done.heads[each.lens], learned[each.lens], each)
+                for each in figures
+            ]
+            run_tasks(replays, replayed, jobs=jobs, progress=progress)
+        finally:
+            if done.replays:
+                save_figures(settings.out / "figures.png", list(done.replays.values()))
+    return done
 
 
 def _prepare(
-    settings: _Settings, lens: Lens, progress: Progress
+    settings: ReproductionSettings, lens: Lens, progress: Progress
 ) -> tuple[Lens, SequentialCalibration, HeadCalibration, VisualGeometry | None]:
-    """Calibrate the head with wide cameras of a lens, as the paper does, and write the result.
+    """Calibrate the head with wide cameras of a lens as the paper does, and write the result.
 
-    The head is returned as the replays use it, with what its eyes have learned in looking around,
-    with which every figure begins; None: there is no self-calibration.
+    Returns the head as the replays use it, and what it learned in looking around, with which each
+    figure begins; None: there is no self-calibration.
     """
     task = f"calibrating, {lens} lens"
     with settings.twin(lens) as twin:
@@ -170,7 +174,7 @@ def _prepare(
         )
         head = inject_calibration_error(found.head, settings.profile.by_hand, lens)
         learning = None
-        if settings.learns:
+        if settings.compare or settings.floor or settings.method != "paper":
             learning = learn_by_looking(
                 twin,
                 before_looking(head),
@@ -182,7 +186,7 @@ def _prepare(
 
 
 def _replay(
-    settings: _Settings,
+    settings: ReproductionSettings,
     head: HeadCalibration,
     learning: VisualGeometry | None,
     figure: Figure,
@@ -209,43 +213,6 @@ def _replay(
     return done
 
 
-def check(
-    *,
-    figures: Sequence[int],
-    seed: int,
-    duration_s: float | None = None,
-    rate_hz: float | None = None,
-    jobs: int = 1,
-) -> list[Figure]:
-    """Check the arguments of `reproduce` before any work is done, and return the figures.
-
-    VergenceError if an argument cannot be met.
-    """
-    unknown = [number for number in figures if number not in FIGURES]
-    if unknown or not figures:
-        asked = f"figure {unknown[0]}" if unknown else "no figure"
-        raise VergenceError(f"Asked for {asked}; the paper's experiments are figures 6 to 11.")
-    check_seed(seed)
-    for name, unit, value, most in (
-        ("duration", "s", duration_s, 3600),
-        ("rate", "Hz", rate_hz, 200),
-    ):
-        if value is not None and not 0 < value <= most:
-            raise VergenceError(
-                f"The {name} must be above 0 and at most {most} {unit}, found {value}."
-            )
-    chosen = [FIGURES[number] for number in sorted(set(figures))]
-    for figure in chosen:
-        times = sample_times(figure, duration_s, rate_hz)
-        if len(times) < 2 or (np.diff(times) <= 0).any():
-            raise VergenceError(
-                f"A duration of {duration_s} s at {rate_hz or 'the default rate'} gives samples "
-                "less than 1 ms apart, or fewer than two; ask for a longer or slower run."
-            )
-    process_count(jobs)
-    return chosen
-
-
 def record_replay(
     twin: Twin,
     calibration: HeadCalibration,
@@ -257,7 +224,7 @@ def record_replay(
     compared: Comparison | None = None,
     progress: Progress = silent,
 ) -> Replay:
-    """Replay one figure on rendered images, as `replay` does, and record it."""
+    """Replay one figure as `replay` does, and record it."""
     beside = known = None
     if compared is not None:
         beside, known = LEARNED if method == PAPER else PAPER, compared.learning.state
@@ -283,7 +250,7 @@ def record_replay(
             compared=compared,
             progress=progress,
         )
-        result = chosen(result, method)
+        result = show_method(result, method)
         log_results(rec, result, calibration, twin.T_world_lbase(), beside=beside)
         log_report(rec, figure_report(result, twin.profile, calibration))
     return result
