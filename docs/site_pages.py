@@ -61,14 +61,18 @@ def public_names(package: str) -> dict[str, str]:
         Dotted paths, such as {"load_head": "vergence.geometry.head.load"}; empty without `__all__`.
     """
     listed: list[str] = []
+    lazy = False
     defined: dict[str, str] = {}
     for node in ast.walk(_tree(package)):
         if isinstance(node, ast.ImportFrom) and node.module and not node.level:
             for alias in node.names:
                 defined[alias.asname or alias.name] = f"{node.module}.{alias.name}"
         elif isinstance(node, ast.Assign | ast.AnnAssign) and "__all__" in _targets(node):
-            assert node.value is not None
-            listed = list(ast.literal_eval(node.value))
+            assert isinstance(node.value, ast.List)
+            listed = [str(item.value) for item in node.value.elts if isinstance(item, ast.Constant)]
+            lazy = any(isinstance(item, ast.Starred) for item in node.value.elts)
+    if lazy:  # the names imported from other modules of the package
+        listed += [name for name, path in defined.items() if path.startswith(f"{package}.")]
     return {name: defined.get(name, f"{package}.{name}") for name in listed}
 
 

@@ -86,7 +86,7 @@ def test_links_that_leave_the_folder_are_refused(folder):
         ({"cameras.cam 0": {"eye": "left", "width": 1, "height": 1}}, "a camera's name begins"),
         ({"cameras.left": {"eye": "left", "width": 1, "height": 1}}, "is not the name of an eye"),
         ({"cameras.time_s": {"eye": "left", "width": 1, "height": 1}}, "called time_s, which is"),
-        ({"cameras.left_wide.colour": True}, "colour: there is no such field; there are eye,"),
+        ({"cameras.left_wide.colour": True}, "colour: there is no such field"),
         ({"cameras.left_wide.widht": 32}, "widht: there is no such field; perhaps width is meant"),
         ({"board.square": 0.03}, "board.square: there is no such field; perhaps square_m is meant"),
         ({"board.kind": None}, "board: Unable to extract tag"),

@@ -52,7 +52,7 @@ def test_ranges_lists_and_numbers_are_values(tmp_path: Path):
             "designs.baseline_mm: expected one value or more, found none",
         ),
         ("[designs]\nbaseline = [60]", "no such field; perhaps baseline_mm is meant"),
-        ("[extra]\na = 1", "extra: there is no such field; there are designs, workspace, prices"),
+        ("[extra]\na = 1", "extra: there is no such field"),
         ("[designs]\nviews = [12.5]", "designs.views: values are whole numbers, found 12.5"),
         ("[designs]\nviews = 'many'", "designs.views: expected a list, found 'many'"),
         ("[prices]\nfocal_px = 5", r"prices.focal_px: prices are pairs .* \[30, 10\]\], found 5"),

@@ -33,7 +33,6 @@ CALIBRATIONS = {
     "have the same axis": put("kinematics", "eyes", "left", 1, "axis", value=[0, 0, 1]),
     "none of the readings": put("kinematics", "readings", value=["left_pan"]),
     "at most 20 readings": put("kinematics", "readings", value=[f"r{k}" for k in range(21)]),
-    "axes has for each eye": lambda head: head.update(axes={"left": {}}, kinematics=None),
     "not a rotation": put("cameras", "left_wide", "T_eye_cam", 0, 0, value=3),
     "T_rbase_lbase": put("T_rbase_lbase", value=np.diag([-1, -1, -1, 1]).tolist()),
     "last row": put("T_rbase_lbase", 3, 0, value=1e-3),

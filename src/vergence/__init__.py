@@ -1,124 +1,75 @@
 """Calibration, stereo and gaze for active heads, and a digital twin to try them on.
 
-`import vergence as vg` gives the names in `__all__`; each is loaded when it is first used, so that
-the import itself costs nothing. The twin is `vergence.twin`, recordings and figures are
-`vergence.viewer`: neither is loaded by what stands here.
+`import vergence as vg` gives the names in `__all__`. Each is loaded at its first use, so that the
+command line starts quickly. The twin is `vergence.twin`; recordings and figures are
+`vergence.viewer`.
 """
 
 from __future__ import annotations
 
+import ast
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 __version__ = "0.2.0"
 
-if TYPE_CHECKING:
-    from vergence.calibration.calibrate import CalibrationResult, calibrate
-    from vergence.calibration.detection import detect_target
-    from vergence.calibration.eye_camera import refine_eye_camera
-    from vergence.calibration.observations import Observations
-    from vergence.calibration.target_poses import adjust_target_poses
-    from vergence.data.dataset import Dataset, Frame
-    from vergence.data.reader import load_dataset
-    from vergence.data.writer import write_dataset
-    from vergence.errors import VergenceError
-    from vergence.gaze.foveation import gaze_angles
-    from vergence.geometry.board import Charuco, Chessboard
-    from vergence.geometry.camera import Camera
-    from vergence.geometry.head import HeadCalibration, MountedCamera, load_head, save_head
-    from vergence.geometry.joints import Joint
-    from vergence.geometry.kinematics import Kinematics
-    from vergence.geometry.projection import project_point
-    from vergence.interchange.formats import export_head, import_head
-    from vergence.stereo.combination import combination
-    from vergence.stereo.dense_depth import DenseDepth, dense_depth, point_cloud
-    from vergence.stereo.extrinsics import T_rcam_lcam
-    from vergence.stereo.rectification import RectifiedPair, rectified_image, rectify
-    from vergence.stereo.triangulation import Status, in_body, in_head
-    from vergence.stereo.uncertainty import LocatedPoints, locate
+if TYPE_CHECKING:  # type checkers read these imports, and `_MODULES` is made of them
+    from vergence.calibration.calibrate import CalibrationResult as CalibrationResult
+    from vergence.calibration.calibrate import calibrate as calibrate
+    from vergence.calibration.detection import detect_target as detect_target
+    from vergence.calibration.eye_camera import refine_eye_camera as refine_eye_camera
+    from vergence.calibration.observations import Observations as Observations
+    from vergence.calibration.target_poses import adjust_target_poses as adjust_target_poses
+    from vergence.data.dataset import Dataset as Dataset
+    from vergence.data.dataset import Frame as Frame
+    from vergence.data.reader import load_dataset as load_dataset
+    from vergence.data.writer import write_dataset as write_dataset
+    from vergence.errors import VergenceError as VergenceError
+    from vergence.gaze.foveation import gaze_angles as gaze_angles
+    from vergence.geometry.board import Charuco as Charuco
+    from vergence.geometry.board import Chessboard as Chessboard
+    from vergence.geometry.camera import Camera as Camera
+    from vergence.geometry.head import HeadCalibration as HeadCalibration
+    from vergence.geometry.head import MountedCamera as MountedCamera
+    from vergence.geometry.head import load_head as load_head
+    from vergence.geometry.head import save_head as save_head
+    from vergence.geometry.joints import Joint as Joint
+    from vergence.geometry.kinematics import Kinematics as Kinematics
+    from vergence.geometry.projection import project_point as project_point
+    from vergence.interchange.formats import export_head as export_head
+    from vergence.interchange.formats import import_head as import_head
+    from vergence.stereo.combination import combination as combination
+    from vergence.stereo.dense_depth import DenseDepth as DenseDepth
+    from vergence.stereo.dense_depth import dense_depth as dense_depth
+    from vergence.stereo.dense_depth import point_cloud as point_cloud
+    from vergence.stereo.extrinsics import T_rcam_lcam as T_rcam_lcam
+    from vergence.stereo.rectification import RectifiedPair as RectifiedPair
+    from vergence.stereo.rectification import rectified_image as rectified_image
+    from vergence.stereo.rectification import rectify as rectify
+    from vergence.stereo.triangulation import Status as Status
+    from vergence.stereo.triangulation import in_body as in_body
+    from vergence.stereo.triangulation import in_head as in_head
+    from vergence.stereo.uncertainty import LocatedPoints as LocatedPoints
+    from vergence.stereo.uncertainty import locate as locate
 
-__all__ = [
-    "CalibrationResult",
-    "Camera",
-    "Charuco",
-    "Chessboard",
-    "Dataset",
-    "DenseDepth",
-    "Frame",
-    "HeadCalibration",
-    "Joint",
-    "Kinematics",
-    "LocatedPoints",
-    "MountedCamera",
-    "Observations",
-    "RectifiedPair",
-    "Status",
-    "T_rcam_lcam",
-    "VergenceError",
-    "__version__",
-    "adjust_target_poses",
-    "calibrate",
-    "combination",
-    "dense_depth",
-    "detect_target",
-    "export_head",
-    "gaze_angles",
-    "import_head",
-    "in_body",
-    "in_head",
-    "load_dataset",
-    "load_head",
-    "locate",
-    "point_cloud",
-    "project_point",
-    "rectified_image",
-    "rectify",
-    "refine_eye_camera",
-    "save_head",
-    "write_dataset",
-]
-
-# The C library gives large blocks back to the system when they are freed, and the arrays of every
-# image are paged in anew: a fifth of the time of self-calibration. glibc stops doing so for blocks
-# below the largest one that it has seen freed.
-bytes(31 << 20)
-
-_HOMES = {
-    "calibration.eye_camera": ("refine_eye_camera",),
-    "calibration.target_poses": ("adjust_target_poses",),
-    "calibration.calibrate": ("CalibrationResult", "calibrate"),
-    "calibration.detection": ("detect_target",),
-    "calibration.observations": ("Observations",),
-    "data.dataset": ("Dataset", "Frame"),
-    "data.reader": ("load_dataset",),
-    "data.writer": ("write_dataset",),
-    "errors": ("VergenceError",),
-    "gaze.foveation": ("gaze_angles",),
-    "geometry.board": ("Charuco", "Chessboard"),
-    "geometry.camera": ("Camera",),
-    "geometry.head": ("HeadCalibration", "MountedCamera", "load_head", "save_head"),
-    "geometry.joints": ("Joint",),
-    "geometry.kinematics": ("Kinematics",),
-    "geometry.projection": ("project_point",),
-    "interchange.formats": ("export_head", "import_head"),
-    "stereo.combination": ("combination",),
-    "stereo.dense_depth": ("DenseDepth", "dense_depth", "point_cloud"),
-    "stereo.extrinsics": ("T_rcam_lcam",),
-    "stereo.rectification": ("RectifiedPair", "rectified_image", "rectify"),
-    "stereo.triangulation": ("Status", "in_body", "in_head"),
-    "stereo.uncertainty": ("LocatedPoints", "locate"),
+_MODULES = {
+    alias.name: node.module
+    for node in ast.walk(ast.parse(Path(__file__).read_text(encoding="utf-8")))
+    if isinstance(node, ast.ImportFrom) and str(node.module).startswith("vergence.")
+    for alias in node.names
 }
-_HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
+__all__ = ["__version__", *_MODULES]  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 def __getattr__(name: str) -> Any:
-    """Load a public name when it is first used."""
-    if name not in _HOME_OF:
+    """Load a public name at its first use."""
+    if name not in _MODULES:
         raise AttributeError(f"module 'vergence' has no attribute {name!r}")
-    value = getattr(import_module(f"vergence.{_HOME_OF[name]}"), name)
-    globals()[name] = value  # found without asking from now on
+    value = getattr(import_module(str(_MODULES[name])), name)
+    globals()[name] = value  # found without this function from now on
     return value
 
 
 def __dir__() -> list[str]:
-    return sorted(set(__all__) | set(globals()))
+    return sorted({*__all__, *globals()})

@@ -23,7 +23,7 @@ _Instance = TypeVar("_Instance")
 
 
 def _shaped(*shape: int | None) -> tuple[PlainValidator, PlainSerializer]:
-    """Validator and serialiser of a finite float array; None leaves a dimension free."""
+    """Make the validator and serialiser of a finite float array; None leaves a size free."""
     wanted = " x ".join("n" if size is None else str(size) for size in shape)
 
     def check(value: Any) -> Array:
@@ -62,7 +62,7 @@ _EYE, _LAST_ROW = np.eye(3), np.array([0.0, 0.0, 0.0, 1.0])
 
 
 def _rigid(array: Array) -> Array:
-    """Return a (4, 4) array; ValueError if it is not a rigid transform in metres."""
+    """Check that a (4, 4) array is a rigid transform in metres; ValueError otherwise."""
     # Determinant and root in plain numbers: estimates make poses many times a second.
     R = array[:3, :3]
     possible = np.abs(R).max() < 1.1  # far larger numbers would overflow below
@@ -99,7 +99,7 @@ Transform = Annotated[
 
 
 def floats(name: str, value: ArrayLike) -> Array:
-    """Return an argument as an array of numbers; VergenceError, with its name, if it is none."""
+    """Convert an argument to an array of numbers; VergenceError names an invalid one."""
     try:
         return np.asarray(value, dtype=float)
     except (TypeError, ValueError):
@@ -109,10 +109,7 @@ def floats(name: str, value: ArrayLike) -> Array:
 
 
 def replace_unchecked(instance: _Instance, **changes: Any) -> _Instance:
-    """Return a dataclass with other values, as `dataclasses.replace` does, but not checked anew.
-
-    For valid values that change many times a second: checks take most of the time of making one.
-    """
+    """Replace values of a dataclass without its checks, which take most of the time."""
     changed = object.__new__(type(instance))
     for value in changes.values():
         if isinstance(value, np.ndarray):
@@ -128,11 +125,10 @@ def _field_names(kind: type) -> tuple[str, ...]:
 
 
 def scatter_add(values: Array, places: tuple[np.ndarray, ...], shape: tuple[int, ...]) -> Array:
-    """Return an array of a shape that holds each value at its place; values at one place add up.
+    """Sum values by their place in an array; six times as fast as np.add.at.
 
-    The places are indices, one array for each dimension of the shape, that broadcast to the values.
+    `places`: one array of indices for each dimension of the shape; they broadcast to the values.
     """
-    # np.add.at takes six times as long.
     flat = np.ravel_multi_index(np.broadcast_arrays(*places), shape)
     flat = np.broadcast_to(flat, values.shape).ravel()
     sums = np.bincount(flat, values.ravel(), int(np.prod(shape)))

@@ -9,12 +9,11 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Sequence
 from dataclasses import field
-from inspect import signature
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from pydantic import ConfigDict, model_validator
+from pydantic import ConfigDict
 from pydantic.dataclasses import dataclass
 
 from vergence.arrays import Array, Transform
@@ -22,8 +21,7 @@ from vergence.errors import VergenceError
 from vergence.files import read_json, write_json
 from vergence.geometry.camera import Camera
 from vergence.geometry.head_accuracy import Accuracy
-from vergence.geometry.joints import Joint
-from vergence.geometry.kinematics import EYES, Kinematics, Side, T_base_eye, pan_tilt, reading_kinds
+from vergence.geometry.kinematics import EYES, Kinematics, Side, T_base_eye, reading_kinds
 from vergence.geometry.neck import Neck, T_body_head, chain_angles
 from vergence.geometry.parameter_names import names_of
 from vergence.geometry.se3 import inverse, pose
@@ -67,25 +65,7 @@ class HeadCalibration:
     """An image shows the joints this much later than their reading."""
     accuracy: Accuracy | None = None
     """None: not stated; files of other programs and heads as designed have none."""
-    format: Literal["vergence-head-calibration-1", "vergence-head-calibration-2"] = (
-        "vergence-head-calibration-2"
-    )
-    """Files of version 0.1 have the first."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _of_version_0_1(cls, found: Any) -> Any:
-        """Turn `axes`, the errors of pan and tilt by eye, into the joints of `kinematics`."""
-        if not isinstance(found, dict) or "axes" not in found or found.get("kinematics"):
-            return found
-        try:
-            axes = {eye: dict(found["axes"][eye]) for eye in EYES}
-            eyes: dict[Side, tuple[Joint, ...]] = {eye: pan_tilt(eye, **axes[eye]) for eye in EYES}
-        except (TypeError, KeyError, ValueError):
-            known = ", ".join(list(signature(pan_tilt).parameters)[1:])
-            raise ValueError(f"axes has for each eye some of {known}, each a number") from None
-        rest = {name: value for name, value in found.items() if name not in ("axes", "kinematics")}
-        return rest | {"kinematics": Kinematics(eyes), "format": "vergence-head-calibration-2"}
+    format: Literal["vergence-head-calibration-2"] = "vergence-head-calibration-2"
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.cameras) <= MAX_CAMERAS:

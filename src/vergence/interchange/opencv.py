@@ -16,7 +16,6 @@ import os
 import re
 from collections.abc import Mapping
 from dataclasses import fields
-from inspect import signature
 from pathlib import Path
 from typing import Annotated, Any, Literal
 from xml.etree import ElementTree
@@ -29,7 +28,7 @@ from vergence.errors import VergenceError
 from vergence.files import parse_json, unique_keys, write_whole
 from vergence.geometry.head import HeadCalibration, MountedCamera
 from vergence.geometry.joints import Joint
-from vergence.geometry.kinematics import EYES, Kinematics, Side, pan_tilt
+from vergence.geometry.kinematics import EYES, Kinematics, Side
 from vergence.geometry.lens import CameraModel
 from vergence.geometry.neck import Neck
 from vergence.interchange.serialization import (
@@ -149,12 +148,10 @@ class _Neck(BaseModel):
 
 
 class _Head(BaseModel):
-    format: Literal["vergence-head-opencv-1", "vergence-head-opencv-2"] = FORMAT
+    format: Literal["vergence-head-opencv-2"] = FORMAT
     cameras: Annotated[dict[str, _Camera], Field(min_length=1)]
     T_rbase_lbase: Matrix
-    kinematics: _Kinematics | None = None
-    axes: dict[Side, dict[str, FiniteFloat]] = {}
-    """Errors of pan and tilt; files of version 0.1 have these instead."""
+    kinematics: _Kinematics
     neck: _Neck
     time_offset_s: FiniteFloat = 0.0
 
@@ -180,7 +177,7 @@ def _head(content: Any) -> HeadCalibration:
             for name, c in found.cameras.items()
         },
         T_rbase_lbase=found.T_rbase_lbase,
-        kinematics=_kinematics(found),
+        kinematics=_kinematics(found.kinematics),
         neck=_neck(found.neck),
         time_offset_s=found.time_offset_s,
     )
@@ -191,14 +188,8 @@ def _neck(found: _Neck) -> Neck:
     return Neck(**vars(found) | {"head_m": found.head_m.ravel(), "joints": joints})
 
 
-def _kinematics(found: _Head) -> Kinematics:
-    if found.kinematics is None:
-        known = set(signature(pan_tilt).parameters) - {"eye"}
-        for eye in EYES:
-            if lacking := known.symmetric_difference(found.axes.get(eye, {})):
-                raise ValueError(f"axes.{eye}.{min(lacking)} is missing, or not known")
-        return Kinematics({eye: pan_tilt(eye, **found.axes[eye]) for eye in EYES})
-    names = tuple(filter(None, found.kinematics.readings.split(",")))
+def _kinematics(found: _Kinematics) -> Kinematics:
+    names = tuple(filter(None, found.readings.split(",")))
     eyes: dict[Side, tuple[Joint, ...]] = {}
     for eye in EYES:
         eyes[eye] = tuple(
@@ -213,7 +204,7 @@ def _kinematics(found: _Head) -> Kinematics:
                 },
                 **{error: getattr(joint, error) for error in _ERRORS},
             )
-            for name, joint in getattr(found.kinematics, eye).items()
+            for name, joint in getattr(found, eye).items()
         )
     return Kinematics(eyes, names)
 
