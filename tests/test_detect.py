@@ -12,6 +12,7 @@ import pytest
 from recordings import (
     CHARUCO,
     CHESSBOARD,
+    board_json,
     change_about,
     description,
     held,
@@ -27,7 +28,7 @@ from vergence.calibration.detection import detect_or_explain, detect_target
 from vergence.data.images import UNREADABLE
 from vergence.data.reader import load_dataset
 from vergence.errors import VergenceError
-from vergence.geometry.board import Charuco, corner_points
+from vergence.geometry.board import Charuco
 from vergence.vision.board_detection import detect_board
 
 
@@ -53,31 +54,19 @@ def test_corners_of_every_image_stand_at_its_row_and_camera(tmp_path, board):
     assert found.timing is None
 
 
+@pytest.mark.parametrize("upside_down", [False, True])
 @pytest.mark.parametrize("seen", [np.s_[:, 130:], np.s_[:, :130], np.s_[78:], np.s_[:110]])
-def test_part_of_a_charuco_board_gives_the_right_corners(seen):
+def test_part_of_a_charuco_board_gives_the_right_corners(seen, upside_down):
     image, truth = picture(CHARUCO, held(0, shift=20), (280, 240))
     part = np.full_like(image, 120)
     part[seen] = image[seen]
+    if upside_down:
+        part, truth = np.ascontiguousarray(part[::-1, ::-1]), np.array([279, 239]) - truth
     found = detect_board(part, CHARUCO)
     assert found is not None
     finite = np.isfinite(found[:, 0])
     assert 6 <= finite.sum() < len(truth)
     np.testing.assert_allclose(found[finite], truth[finite], atol=0.15)
-
-
-def test_charuco_corners_keep_their_numbers_when_the_board_is_upside_down():
-    turn = np.array([[-1, 0, 280], [0, -1, 240], [0, 0, 1.0]])
-    image, truth = picture(CHARUCO, turn @ held(1), (280, 240))
-    found = detect_board(image, CHARUCO)
-    assert found is not None
-    np.testing.assert_allclose(found, truth, atol=0.1)
-
-
-def test_points_run_along_the_rows_from_the_first_inner_corner():
-    for board, columns in ((CHARUCO, 5), (CHESSBOARD, 6)):
-        points = corner_points(board)
-        assert points.shape == (4 * 5 if board is CHARUCO else 5 * 6, 3)
-        assert points[[0, 1, columns]].tolist() == [[0, 0, 0], [0.03, 0, 0], [0, 0.03, 0]]
 
 
 @pytest.mark.parametrize(
@@ -120,14 +109,6 @@ def test_an_image_without_a_board_gives_its_reason(image, reason):
     assert corners is None
     assert reason in found
     assert found
-
-
-def test_too_few_corners_are_a_failure():
-    image, _ = picture(CHARUCO, held(0), (280, 240))
-    image[:, 90:] = 120
-    corners, reason = detect_or_explain(image, CHARUCO)
-    assert corners is None
-    assert "corners of the board can be seen; 6 are needed" in reason
 
 
 @pytest.fixture
@@ -212,46 +193,44 @@ def test_a_folder_is_no_dataset_yet():
         detect_target("folder")  # pyright: ignore[reportArgumentType]
 
 
-def test_squares_counted_for_inner_corners_are_recognised(tmp_path):
-    seen_dataset(tmp_path / "set", CHESSBOARD, 1)
-    change_about(tmp_path / "set", {"board.columns": 7, "board.rows": 6})
-    with pytest.raises(VergenceError, match=r"one of 6 x 5 is there.*not its squares"):
-        detect_target(load_dataset(tmp_path / "set"))
-
-
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        ({"board.squares_x": 7, "board.squares_y": 5}, "one of 5 x 7 squares is there: exchange"),
-        ({"board.dictionary": "DICT_6X6_50"}, "other markers is there: set board.dictionary to DI"),
-    ],
-)
-def test_a_charuco_board_that_is_described_wrongly_is_recognised(tmp_path, change, said):
-    board = Charuco(5, 7, 0.03, 0.022, "DICT_5X5_50")
-    seen_dataset(tmp_path / "set", board, 1)
-    change_about(tmp_path / "set", change)
-    with pytest.raises(VergenceError, match=said):
-        detect_target(load_dataset(tmp_path / "set"))
+FIVE = Charuco(5, 7, 0.03, 0.022, "DICT_5X5_50")
+SQUARE = replace(CHARUCO, squares_y=6)
 
 
 @pytest.mark.parametrize(
     ("there", "described", "said"),
     [
-        ({}, {"squares_x": 8}, "set board.squares_x to 6 and board.squares_y to 5"),
-        ({}, {"squares_x": 7}, "set board.squares_x to 6 and board.squares_y to 5"),
-        ({"squares_y": 6}, {"legacy": True}, "of the other pattern is there: set board.legacy to"),
+        (CHESSBOARD, {"columns": 7, "rows": 6}, "one of 6 x 5 is there.*not its squares"),
+        (CHESSBOARD, {"columns": 4, "rows": 4}, "6 x 5 is there: set board.columns to 6 and .* 5"),
+        (CHESSBOARD, {"columns": 7}, "one of 6 x 5 is there"),
+        (FIVE, {"squares_x": 7, "squares_y": 5}, "one of 5 x 7 squares is there: exchange"),
+        (FIVE, {"dictionary": "DICT_6X6_50"}, "other markers is there: set board.dictionary to DI"),
+        (CHARUCO, {"squares_x": 7}, "set board.squares_x to 6 and board.squares_y to 5"),
+        (SQUARE, {"legacy": True}, "of the other pattern is there: set board.legacy to false"),
         (
-            {"squares_y": 6, "legacy": True, "dictionary": "DICT_5X5_50"},
+            replace(SQUARE, legacy=True, dictionary="DICT_5X5_50"),
             {"squares_x": 5, "legacy": False, "dictionary": "DICT_4X4_50"},
             "set board.dictionary to DICT_5X5_.*, set board.squares_x to 6 and board.squares_y to "
             "6, set board.legacy to true",
         ),
+        (
+            CHARUCO,
+            board_json(CHESSBOARD),
+            "set board.kind to charuco, board.dictionary to DICT_4X4_50, board.squares_x to 6, "
+            "board.squares_y to 5",
+        ),
+        (
+            CHESSBOARD,
+            board_json(CHARUCO),
+            "set board.kind to chessboard, board.columns to 6 and board.rows to 5",
+        ),
     ],
 )
-def test_a_charuco_board_is_known_by_how_its_markers_stand(tmp_path, there, described, said):
-    board = replace(CHARUCO, **there)
-    seen_dataset(tmp_path / "set", board, 2)
-    change_about(tmp_path / "set", {f"board.{name}": value for name, value in described.items()})
+def test_a_board_that_is_described_wrongly_is_named(tmp_path, there, described, said):
+    seen_dataset(tmp_path / "set", there, 2 if there.kind == "charuco" else 1)
+    about = description(there, (280, 240))
+    about["board"] = described if "kind" in described else about["board"] | described
+    (tmp_path / "set" / "dataset.json").write_text(json.dumps(about))
     with pytest.raises(VergenceError, match=said):
         detect_target(load_dataset(tmp_path / "set"))
 
@@ -287,14 +266,6 @@ def test_mirrored_images_are_named(folder, eyes):
         detect_target(load_dataset(folder))
 
 
-@pytest.mark.parametrize("change", [{"columns": 9, "rows": 8}, {"columns": 4, "rows": 4}])
-def test_a_chessboard_of_other_counts_is_named_by_its_own(tmp_path, change):
-    seen_dataset(tmp_path / "set", CHESSBOARD, 1)
-    change_about(tmp_path / "set", {f"board.{name}": value for name, value in change.items()})
-    with pytest.raises(VergenceError, match=r"6 x 5 is there: set board.columns to 6 and .* to 5"):
-        detect_target(load_dataset(tmp_path / "set"))
-
-
 def test_a_few_images_tell_that_another_board_was_shown(tmp_path):
     seen_dataset(tmp_path / "set", CHESSBOARD, 20)
     change_about(tmp_path / "set", {"board.columns": 9, "board.rows": 8})
@@ -302,20 +273,6 @@ def test_a_few_images_tell_that_another_board_was_shown(tmp_path):
     with pytest.raises(VergenceError, match=r"of 13 all over it, .* set board.columns to 6"):
         detect_target(load_dataset(tmp_path / "set"), progress=lambda *each: counts.append(each))
     assert counts[-1][1:] == (13, 39)
-
-
-@pytest.mark.parametrize(("there", "described"), [(CHARUCO, CHESSBOARD), (CHESSBOARD, CHARUCO)])
-def test_a_board_of_the_other_kind_is_named(tmp_path, there, described):
-    seen_dataset(tmp_path / "set", there, 1)
-    about = description(described, (280, 240))
-    (tmp_path / "set" / "dataset.json").write_text(json.dumps(about))
-    said = {
-        "charuco": "set board.kind to charuco, board.dictionary to DICT_4X4_50, board.squares_x to "
-        "6, board.squares_y to 5",
-        "chessboard": "set board.kind to chessboard, board.columns to 6 and board.rows to 5",
-    }
-    with pytest.raises(VergenceError, match=said[there.kind]):
-        detect_target(load_dataset(tmp_path / "set"))
 
 
 def test_a_chessboard_that_the_image_cuts_off_is_called_that_and_not_a_smaller_one(tmp_path):
@@ -329,13 +286,6 @@ def test_a_chessboard_that_the_image_cuts_off_is_called_that_and_not_a_smaller_o
         r"only \d x \d of its 6 x 5 corners were found.*as a whole.*; check board in dataset\.json"
     )
     with pytest.raises(VergenceError, match=said):
-        detect_target(load_dataset(tmp_path / "set"))
-
-
-def test_one_corner_too_many_in_one_direction_is_recognised(tmp_path):
-    seen_dataset(tmp_path / "set", CHESSBOARD, 1)
-    change_about(tmp_path / "set", {"board.columns": 7})
-    with pytest.raises(VergenceError, match="one of 6 x 5 is there"):
         detect_target(load_dataset(tmp_path / "set"))
 
 
