@@ -1,78 +1,169 @@
-"""How steady self-calibrated depth stays on bad images, beside that of the joint readings.
+"""Compare the spread of self-calibrated depth on bad images with that of the joint readings.
 
     python benchmarks/degraded_images.py [--figures 6 8 9 10 11] [--samples 40] [--seed 0]
 
-Rendered images of the paper's figures, made worse before anything is matched: contrast, exposure
-and blur, parts that are covered, a repeated pattern at a near depth, wrong matches, eyes that
-expose one after the other, JPEG, dust, a lens that is out of focus. The object's pixels are those
-of the good images, so that the geometry alone makes the difference. `learned` has seen 5 s of good
-images before, and goes on learning from bad ones.
+Rendered images of the paper's figures are degraded before they are matched: contrast, exposure and
+blur, covered parts, a near repeated pattern, wrong matches, eyes that expose one after the other,
+JPEG, dust, a lens out of focus. The object's pixels are those of the good images. `learned` has
+seen 5 s of good images before, and continues to learn from bad ones.
 
 Printed is the standard deviation of depth over that of the joints (below 1: steadier; bar 1.05),
-and of single frames the mean squared error of the cameras' turn to each other over its stated
-variance (3 degrees of freedom, each counts one third).
+and for single frames the mean squared Mahalanobis distance of the cameras' relative rotation per
+degree of freedom.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 import tyro
 
-from degraded import (
-    CAMERAS,
-    Sample,
-    apart,
-    blurred,
-    chessboard,
-    compressed,
-    contrast,
-    covered,
-    darker,
-    dusty,
-    quarter,
-    unfocused,
-)
+from single_frames import turn_distance
 from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
 from vergence.geometry import se3
+from vergence.geometry.camera import project, unproject
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.parameters import change_named
 from vergence.paper.comparison import before_looking
 from vergence.paper.figures import FIGURES, default_duration_s
 from vergence.self_calibration.filter import update
 from vergence.self_calibration.frame import estimate_frame, estimate_from_matches, locate_in_frame
 from vergence.self_calibration.kalman import predict
 from vergence.self_calibration.prior import initial_state
-from vergence.self_calibration.state import FilterState, FrameEstimate
+from vergence.self_calibration.state import FilterState
 from vergence.stereo.extrinsics import T_rcam_lcam
 from vergence.stereo.triangulation import triangulate_at
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import paper_calibration, straight_neck
 from vergence.twin.head import Twin
-from vergence.twin.looking_around import LOOK_S, learn_by_looking
+from vergence.twin.looking_around import learn_by_looking
 from vergence.twin.profile import load_profile
 from vergence.twin.sensors import with_sensors
 from vergence.vision.sphere import STD_PX, find_sphere
 
+CAMERAS = ("left_wide", "right_wide")
+NEAR_M, SQUARE_M = 0.6, 0.02
+"""Distance and square of the near chessboard, which covers a quarter of the left view."""
+FINER = 3
+"""Rays along each side of a pixel that shows the near chessboard."""
 APART_S = 0.005
+Images = tuple[np.ndarray, np.ndarray]
 
 
-def mismatched(state: FilterState, sample: Sample) -> FrameEstimate:
-    """Estimate from matches of which seven in ten are wrong."""
-    good = estimate_frame(state, *sample.images, sample.joints).matches
-    rng = np.random.default_rng(len(good.left))
-    wrong = rng.random(len(good.left)) < 0.7
-    right = good.right.copy()
-    right[wrong] += rng.uniform(-20, 20, (int(wrong.sum()), 2))
-    return estimate_from_matches(state, replace(good, right=right), sample.joints)
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """A pair of images of a figure."""
+
+    images: Images
+    """(H, W) grey."""
+    later: np.ndarray
+    """(H, W) the right image, APART_S later."""
+    joints: Array
+    """(4,) readings."""
+    pixels: tuple[Array, Array]
+    """(2,) of the object in both."""
+    T_rcam_lcam: Array
+    """The truth."""
 
 
-def taken(twin: Twin, head: HeadCalibration, truth: HeadCalibration, figure: int, samples: int):
-    """Return the samples of a figure."""
-    shown = FIGURES[figure]
+def _low_contrast(share: float) -> Callable[[Sample], Images]:
+    """Reduce the contrast; the noise of the sensor (one grey level) is added afterwards."""
+
+    def change(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        smooth = cv2.GaussianBlur(image, (0, 0), 0.6).astype(float)
+        faint = 128 + share * (smooth - 128) + rng.normal(0, 1.0, image.shape)
+        return np.clip(np.round(faint), 0, 255).astype(np.uint8)
+
+    def both(sample: Sample) -> Images:
+        rng = np.random.default_rng(int(sample.joints[0] * 1e9) % 2**32)
+        return change(sample.images[0], rng), change(sample.images[1], rng)
+
+    return both
+
+
+def _quarter(sample: Sample) -> Images:
+    left = np.full_like(sample.images[0], 128)
+    h, w = left.shape
+    left[: h // 2, : w // 2] = sample.images[0][: h // 2, : w // 2]
+    return left, sample.images[1]
+
+
+def _each(change: Callable[[np.ndarray, int], np.ndarray]) -> Callable[[Sample], Images]:
+    """Change both images, given with their numbers."""
+    return lambda sample: (change(sample.images[0], 0), change(sample.images[1], 1))
+
+
+def _right(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Sample], Images]:
+    """Change the right image."""
+    return lambda sample: (sample.images[0], change(sample.images[1]))
+
+
+def _jpeg(image: np.ndarray, _: int) -> np.ndarray:
+    encoded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 50])[1]
+    decoded = cv2.imdecode(encoded, cv2.IMREAD_GRAYSCALE)
+    assert decoded is not None
+    return decoded
+
+
+def _dust(image: np.ndarray, number: int) -> np.ndarray:
+    """Darken spots that stay at the same places of each sensor."""
+    rng, light = np.random.default_rng(number), np.ones(image.shape)
+    rows, columns = np.indices(image.shape)
+    for _ in range(25):
+        middle, size = rng.uniform(0, image.shape), rng.uniform(2, 6)
+        square = (rows - middle[0]) ** 2 + (columns - middle[1]) ** 2
+        light *= 1 - 0.5 * np.exp(-square / (2 * size**2))
+    return np.round(light * image).astype(np.uint8)
+
+
+def _chessboard(truth: HeadCalibration) -> Callable[[Sample], Images]:
+    """Cover a quarter of the left view by a chessboard fixed to the left eye, seen by both."""
+    cameras = [truth.camera(name).intrinsics for name in CAMERAS]
+
+    def change(sample: Sample) -> Images:
+        both = []
+        for k, (camera, image) in enumerate(zip(cameras, sample.images, strict=True)):
+            T = np.eye(4) if k == 0 else se3.inverse(sample.T_rcam_lcam)
+            u, v = ((np.arange(FINER * n) + 0.5) / FINER - 0.5 for n in camera.size)
+            rays = unproject(camera, np.stack(np.meshgrid(u, v), axis=-1)) @ T[:3, :3].T
+            hit = T[:3, 3] + rays * ((NEAR_M - T[2, 3]) / rays[..., 2])[..., None]
+            left = project(cameras[0], hit)
+            inside = ((left > 0) & (left < np.array(image.shape[::-1]) / 2)).all(axis=-1)
+            dark = np.floor(hit[..., :2] / SQUARE_M).astype(int).sum(axis=-1) % 2 == 0
+            share, board = (
+                values.reshape(image.shape[0], FINER, -1, FINER).mean(axis=(1, 3))
+                for values in (inside.astype(float), inside * np.where(dark, 40.0, 210.0))
+            )
+            both.append(np.round(board + (1 - share) * image).astype(np.uint8))
+        return both[0], both[1]
+
+    return change
+
+
+WRONG_MATCHES = "70 % wrong matches"
+WAYS: dict[str, Callable[[Sample], Images]] = {
+    "good": lambda sample: sample.images,
+    "quarter of the view": _quarter,
+    "contrast 1/8": _low_contrast(1 / 8),
+    "contrast 1/16": _low_contrast(1 / 16),
+    WRONG_MATCHES: lambda sample: sample.images,
+    "one eye covered": _right(lambda image: np.full_like(image, 20)),
+    "right eye 0.6 as bright": _right(lambda image: np.round(0.6 * image).astype(np.uint8)),
+    "motion blur 5 px": _each(lambda image, _: cv2.filter2D(image, -1, np.full((1, 5), 0.2))),
+    "5 ms apart": lambda sample: (sample.images[0], sample.later),
+    "JPEG of quality 50": _each(_jpeg),
+    "dust": _each(_dust),
+    "right eye out of focus": _right(lambda image: cv2.GaussianBlur(image, (0, 0), 2.0)),
+}
+"""All ways but the near chessboard, which depends on the head."""
+
+
+def taken(twin: Twin, head: HeadCalibration, figure: int, samples: int) -> list[Sample]:
+    """Take the samples of a figure."""
+    truth, shown = with_sensors(twin.truth, twin.profile.joints), FIGURES[figure]
     twin.restart(figure)
     twin.place_object(np.array(shown.mean_m))
 
@@ -81,117 +172,62 @@ def taken(twin: Twin, head: HeadCalibration, truth: HeadCalibration, figure: int
 
     twin.advance(0.5, command(1.0))
     gains = np.array([j.gain for eye in ("left", "right") for j in truth.kinematics.eyes[eye]])
-    found = []
+    result = []
     for time_s in np.round(np.linspace(0, default_duration_s(shown.motion), samples), 3):
         twin.advance(round(1 + time_s, 3), command)
         frame, angles = twin.capture(CAMERAS), twin.true_angles()[3:]
-        pixels = [find_sphere(frame.images[n], head.camera(n).intrinsics) for n in CAMERAS]
+        left, right = (find_sphere(frame.images[n], head.camera(n).intrinsics) for n in CAMERAS)
         twin.advance(round(1 + time_s + APART_S, 3), command)
-        later = twin.capture(CAMERAS[1:]).images[CAMERAS[1]]
-        grey = [
-            cv2.cvtColor(i, cv2.COLOR_RGB2GRAY)
-            for i in (*(frame.images[n] for n in CAMERAS), later)
-        ]
+        images = *frame.images.values(), twin.capture(CAMERAS[1:]).images[CAMERAS[1]]
+        first, second, later = (cv2.cvtColor(i, cv2.COLOR_RGB2GRAY) for i in images)
         T = T_rcam_lcam(truth, angles / gains, cameras=CAMERAS)
-        found.append(
-            Sample((grey[0], grey[1]), grey[2], frame.eye_angles, (pixels[0], pixels[1]), T)
-        )
-    return found
-
-
-def turn_distance(seen: FrameEstimate, T_true: Array) -> float:
-    """Return the squared Mahalanobis distance of the cameras' turn to each other, per degree."""
-    T, P, step = T_rcam_lcam(seen.head, seen.joints), len(seen.names), 1e-6
-    by = np.zeros((3, len(seen.covariance)))
-    for k in range(by.shape[1]):
-        head, joints = seen.head, seen.joints.copy()
-        if k < P:
-            head = change_named(head, [seen.names[k]], np.array([step]))
-        else:
-            joints[k - P] += step
-        by[:, k] = se3.boxminus(T_rcam_lcam(head, joints), T)[:3] / step
-    error = se3.boxminus(T_true, T)[:3]
-    return float(error @ np.linalg.solve(by @ seen.covariance @ by.T, error)) / 3
+        result.append(Sample((first, second), later, frame.eye_angles, (left, right), T))
+    return result
 
 
 def compare(
-    samples: list[Sample], state: FilterState, learned: FilterState, change, step_s: float
-) -> tuple[float, float, float, float]:
-    """Return depth spreads over the joints' (single, learned), share seen, and the distance."""
-    depths, distances, seen_share = {"joints": [], "single": [], "learned": []}, [], []
+    samples: list[Sample],
+    state: FilterState,
+    learned: FilterState,
+    change: Callable[[Sample], Images],
+    step_s: float,
+) -> tuple[float, float, float]:
+    """Return depth spreads over the joints' (single, learned), and the distance."""
+    depths: dict[str, list[float]] = {"joints": [], "single": [], "learned": []}
+    distances = []
     for sample in samples:
         left, right = (pixels[None] for pixels in sample.pixels)
         by_joints, _ = triangulate_at(
             state.head, left=left, right=right, joints=sample.joints, cameras=CAMERAS
         )
         depths["joints"].append(by_joints[0, 0])
-        for name, now in (("single", state), ("learned", learned)):
-            if change is mismatched:
-                seen = mismatched(now, sample)
-            else:
-                seen = estimate_frame(now, *change(sample), sample.joints)
+        for kind, now in (("single", state), ("learned", learned)):
+            seen = estimate_frame(now, *change(sample), sample.joints)
+            if change is WAYS[WRONG_MATCHES]:
+                matches = seen.matches
+                rng = np.random.default_rng(len(matches.left))
+                wrong = rng.random(len(matches.left)) < 0.7
+                off = wrong[:, None] * rng.uniform(-20, 20, (len(wrong), 2))
+                seen = estimate_from_matches(
+                    now, replace(matches, right=matches.right + off), sample.joints
+                )
             at = locate_in_frame(seen, left=left, right=right, pixel_std_px=STD_PX)
-            depths[name].append(at.xyz[0, 0])
-            if name == "single":
+            depths[kind].append(at.xyz[0, 0])
+            if kind == "single":
                 distances.append(turn_distance(seen, sample.T_rcam_lcam))
-                seen_share.append(seen.status == "seen")
             else:
                 learned = predict(update(now, seen), step_s)
     joints, single, after = (float(np.nanstd(each, ddof=1)) for each in depths.values())
-    return single / joints, after / joints, float(np.mean(seen_share)), float(np.mean(distances))
+    return single / joints, after / joints, float(np.mean(distances))
 
 
-def report(
-    head: HeadCalibration,
-    truth: HeadCalibration,
-    figure: int,
-    samples: list[Sample],
-    learned: FilterState,
-    chosen: tuple[str, ...],
-) -> None:
-    """Print a line for each of the chosen ways in which images are bad; none chosen: for all."""
-    ways = {
-        "good": lambda s: s.images,
-        "quarter of the view": quarter,
-        "contrast 1/8": contrast(1 / 8),
-        "contrast 1/16": contrast(1 / 16),
-        "70 % wrong matches": mismatched,
-        "near chessboard": chessboard(truth),
-        "one eye covered": covered,
-        "right eye 0.6 as bright": darker,
-        "motion blur 5 px": blurred,
-        "5 ms apart": apart,
-        "JPEG of quality 50": compressed,
-        "dust": dusty,
-        "right eye out of focus": unfocused,
-    }
-    step_s = default_duration_s(FIGURES[figure].motion) / len(samples)
-    for name in chosen or ways:
-        change = ways[name]
-        single, after, share, distance = compare(
-            samples, initial_state(head, changed="nothing"), learned, change, step_s
-        )
-        worse = " WORSE" if max(single, after) > 1.05 else ""
-        print(
-            f"Fig. {figure:2d} {name:24s} single {single:.3f} learned {after:.3f} "
-            f"seen {share:.2f} distance {distance:.2f}{worse}",
-            flush=True,
-        )
-
-
-def main(
-    figures: tuple[int, ...] = (6, 8, 9, 10, 11),
-    samples: int = 40,
-    seed: int = 0,
-    ways: tuple[str, ...] = (),
-) -> None:
-    """Print how steady depth stays.
+def main(figures: tuple[int, ...] = (6, 8, 9, 10, 11), samples: int = 40, seed: int = 0) -> None:
+    """Print the spread of depth for each figure and each way.
 
     Args:
         figures: of the paper.
         samples: of each.
         seed: of the twin.
-        ways: names, as printed, of those in which images are bad; none: all.
     """
     profile = load_profile("paper")
     for lens in ("2.8mm", "4.0mm"):
@@ -199,15 +235,23 @@ def main(
         if not numbers:
             continue
         with Twin(profile, seed=seed, lens=lens) as twin:
-            found = paper_calibration(twin, seed)
-            head = inject_calibration_error(found.head, profile.by_hand, lens)
+            calibrated = paper_calibration(twin, seed).head
+            head = inject_calibration_error(calibrated, profile.by_hand, lens)
             learned = learn_by_looking(twin, before_looking(head), run=100).state
-            print(f"{lens}: {LOOK_S:.0f} s of good images seen")
-            truth = with_sensors(twin.truth, twin.profile.joints)
+            state = initial_state(head, changed="nothing")
+            ways = WAYS | {"near chessboard": _chessboard(twin.truth)}
             for figure in numbers:
-                taken_now = taken(twin, head, truth, figure, samples)
-                report(head, truth, figure, taken_now, learned, ways)
+                shown = taken(twin, head, figure, samples)
+                step_s = default_duration_s(FIGURES[figure].motion) / samples
+                for name, change in ways.items():
+                    single, after, distance = compare(shown, state, learned, change, step_s)
+                    worse = " WORSE" if max(single, after) > 1.05 else ""
+                    print(
+                        f"Fig. {figure:2d} {name:24s} single {single:.3f} learned {after:.3f} "
+                        f"distance {distance:.2f}{worse}",
+                        flush=True,
+                    )
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    tyro.cli(main, description=__doc__)
