@@ -23,8 +23,7 @@ from vergence.paper.recording import figure_recording, log_results
 from vergence.paper.replay import Measurements, Replay, describe
 from vergence.twin.appearance import VisualGeom, visual_geoms
 from vergence.twin.model import load_spec, model_folder, nominal_head
-from vergence.viewer.frame import log_frame
-from vergence.viewer.opening import log_report
+from vergence.viewer.recording import log_frame, log_report
 from vergence.viewer.shapes import lines_of_sight
 
 FIGURE = FIGURES[6]

@@ -255,7 +255,7 @@ from vergence.errors import VergenceError
 from vergence.geometry.head import save_head
 from vergence.interchange.formats import export_head
 from vergence.viewer.plots.canvas import panels, save
-from vergence.viewer.opening import recording_file
+from vergence.viewer.recording import recording_file
 
 out, letter, head = Path(sys.argv[1]), sys.argv[2], stated_head()
 for k in range(5):

@@ -19,7 +19,7 @@ from vergence.self_calibration.dense_pairs import (
     row_noise_rad,
 )
 from vergence.viewer.depth import depth_recording, log_depth
-from vergence.viewer.opening import log_report
+from vergence.viewer.recording import log_report
 
 TITLE = "Dense depth"
 RESULTS = ("depth.rrd", "depth.json", REPORT)

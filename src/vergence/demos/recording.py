@@ -19,8 +19,8 @@ from vergence.twin.appearance import visual_geoms
 from vergence.twin.head import Twin
 from vergence.twin.simulated_robot import FRAME_S, foveal_errors
 from vergence.viewer.gaze import Moment, log_gaze_frame, log_gaze_series, log_gaze_styles, moment
-from vergence.viewer.gaze_layout import gaze_blueprint
-from vergence.viewer.opening import Recording, log_report, recording_file
+from vergence.viewer.layouts import gaze_blueprint
+from vergence.viewer.recording import Recording, log_report, recording_file
 from vergence.viewer.seen import log_seen_styles
 
 SERIES = 1000

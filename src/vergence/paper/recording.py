@@ -19,10 +19,17 @@ from vergence.paper.replay import Replay, as_plain
 from vergence.self_calibration.state import FilterState
 from vergence.twin.appearance import VisualGeom
 from vergence.viewer import style
-from vergence.viewer.frame import time_columns
-from vergence.viewer.layout import camera_views, curves_view, hidden, playing, view_3d
-from vergence.viewer.opening import recording_file
-from vergence.viewer.seen import learned_views, log_seen_styles
+from vergence.viewer.layouts import (
+    camera_views,
+    curves_view,
+    hidden,
+    learned_views,
+    playing,
+    report_view,
+    view_3d,
+)
+from vergence.viewer.recording import log_curve, recording_file, time_columns
+from vergence.viewer.seen import log_seen_styles
 from vergence.viewer.shapes import lines_of_sight, log_points_style, placed, spread_ellipsoid
 
 _TRAILS = {"world/left_base/trail": None, "world/left_base/recent": style.TRAIL_S}
@@ -93,12 +100,11 @@ def log_results(
     time_s, eye_angles = result.measurements.time_s, result.measurements.eye_angles
     index = np.arange(len(time_s))
     for joint, angles in zip(EYE_JOINTS, eye_angles.T, strict=True):
-        scalars = rr.Scalars.columns(scalars=angles)
-        rec.send_columns(f"joints/{joint}", time_columns(time_s, index), scalars)
+        log_curve(rec, f"joints/{joint}", time_columns(time_s, index), angles)
     good = np.isfinite(result.points).all(axis=1)
     times, points = time_columns(time_s[good], index[good]), result.points[good]
     for k, axis in enumerate(style.AXIS_COLOURS):
-        rec.send_columns(f"estimate/{axis}", times, rr.Scalars.columns(scalars=points[:, k]))
+        log_curve(rec, f"estimate/{axis}", times, points[:, k])
         for kind, mean, std in (
             ("estimate_mean", statistics.mean_m[k], statistics.std_m[k]),
             ("paper", figure.mean_m[k], figure.std_m[k]),
@@ -106,12 +112,13 @@ def log_results(
             levels = np.tile([mean, mean + std, mean - std], (2, 1))
             if len(time_s) and np.isfinite(levels).all():
                 ends = time_columns(time_s[[0, -1]], index[[0, -1]])
-                rec.send_columns(f"{kind}/{axis}", ends, rr.Scalars.columns(scalars=levels))
+                log_curve(rec, f"{kind}/{axis}", ends, levels)
     others = np.full((0, 3), np.nan) if beside is None else result.others[beside]
     there = np.isfinite(others).all(axis=1)
     for k, axis in enumerate(style.AXIS_COLOURS if there.any() else ()):
-        run = rr.Scalars.columns(scalars=others[there, k])
-        rec.send_columns(f"beside/{axis}", time_columns(time_s[there], index[there]), run)
+        log_curve(
+            rec, f"beside/{axis}", time_columns(time_s[there], index[there]), others[there, k]
+        )
     rec.log("world/left_base", placed(T_world_lbase), static=True)
     marker = rr.Points3D([figure.mean_m], radii=-4.0, colors=style.OBJECT)
     rec.log("world/left_base/object", marker, static=True)
@@ -152,7 +159,7 @@ def blueprint(
             ),
             rrb.Vertical(*axes, *learned, curves_view("joint readings [rad]", "joints")),
             rrb.Vertical(
-                rrb.TextDocumentView(name="report", origin="report"),
+                report_view(),
                 _close_up(figure),
                 row_shares=[5, 4],
             ),
@@ -172,8 +179,7 @@ def _head_view(figure: Figure, head: HeadCalibration) -> rrb.Spatial3DView:
     marks = hidden(head, "detected", "truth", "matches")
     return view_3d(
         f"{figure.title}: head, lines of sight, estimates",
-        origin="world",
-        contents=["+ $origin/**", "- world/left_base/spread", *marks],
+        contents=("- world/left_base/spread", *marks),
         middle=middle,
         eye=middle + np.array([0.33, 0.94, 0.0]) * scale,
         trails=_TRAILS,
@@ -185,7 +191,7 @@ def _close_up(figure: Figure) -> rrb.Spatial3DView:
     return view_3d(
         "close-up: object, estimates and their 2-std ellipsoid",
         origin="world/left_base",
-        contents=["+ $origin/**", "+ world/object/**"],
+        contents=("+ world/object/**",),
         middle=middle,
         eye=middle + np.array([-0.25, 0.85, 0.45]) * (0.06 + 2.8 * figure.std_m[0]),
         trails=_TRAILS,

@@ -114,7 +114,7 @@ def replay(
         figure: the figure to replay.
         times_s: (N,) times of the samples, rising.
         observer: function that gets each sample in its order, from another thread, as arguments of
-            `viewer.frame.log_frame` by name.
+            `viewer.recording.log_frame` by name.
         image_every: every Nth sample is rendered by all cameras, for the observer; the others by
             the wide cameras, which the estimation uses.
         compared: other methods, which get each sample in its order.

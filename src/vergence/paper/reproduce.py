@@ -33,8 +33,7 @@ from vergence.twin.head import Twin
 from vergence.twin.looking_around import learn_by_looking
 from vergence.twin.profile import ErrorProfile, Lens
 from vergence.twin.scene.room import Scene
-from vergence.viewer.frame import log_frame
-from vergence.viewer.opening import log_report
+from vergence.viewer.recording import log_frame, log_report
 from vergence.viewer.seen import log_learned, log_matches
 
 ReplayMethod = Literal["paper", "self-calibrated"]

@@ -1,7 +1,4 @@
-"""Record the behaviour of a gaze controller: its images, its commands and its estimates.
-
-Images and postures are logged frame by frame (`log_gaze_frame`), curves and trails of many
-frames at once (`log_gaze_series`). In addition to the entities of every recording there are
+"""Record a gaze controller: its images, its commands and its estimates.
 
     /world/<side>_eye/<camera>/aim  a long cross at the target position of the object
     /world/gaze                     frame body, with the axes, the estimate, the truth, the hand
@@ -13,6 +10,8 @@ frames at once (`log_gaze_series`). In addition to the entities of every recordi
     /hand/distance                  distance of the hand, by its encoders, from the object [mm]
     /eyes/<joint>, command_<joint>  readings and commands of the eyes [rad]
     /neck/<joint>, command_<joint>  readings and commands of the neck [rad]
+
+Images and postures are logged frame by frame, curves and trails of many frames at once.
 """
 
 from __future__ import annotations
@@ -33,39 +32,39 @@ from vergence.geometry.head import HeadCalibration, T_base_cam, T_body_base
 from vergence.geometry.kinematics import EYES, Side
 from vergence.geometry.se3 import inverse, transform
 from vergence.viewer import style
-from vergence.viewer.frame import log_frame, time_columns
-from vergence.viewer.layout import camera_entities
+from vergence.viewer.layouts import camera_entities
+from vergence.viewer.recording import log_curve, log_frame, set_time, time_columns
 from vergence.viewer.seen import log_learned, log_matches
 from vergence.viewer.shapes import log_points_style, placed
 
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """State of the controller at one moment, with the ground truth that an observer has."""
+    """State of a controller after a frame, and the ground truth. Positions are in frame body [m];
+    NaN: there is none, or it is not known."""
 
     time_s: float
     """Time in the recording."""
     lanes: Mapping[str, str]
-    """By lane: the state of the gaze or of another part of the experiment."""
+    """State of the gaze and of other parts of the experiment, by lane."""
     readings: Array
     """(j,) joint readings [rad]."""
     commanded: Array
     """(j,) commanded joint angles [rad], at the moment of the image."""
     axes: Array
-    """(E, 2, 3) by eye: the centre of the camera to be centred and a point on its axis, in frame
-    body. E is 2, or 1 for a head that uses one eye."""
+    """(E, 2, 3) by eye in use: centre of the narrow camera, and a point on its axis."""
     fused: Array
-    """(3,) filtered position of the object, in frame body; NaN: no estimate."""
+    """(3,) filtered position of the object."""
     one_frame: Array
-    """(3,) position by stereo from this frame alone, in frame body; NaN: no estimate."""
+    """(3,) position by stereo from this frame alone."""
     by_joints: Array
-    """(3,) the same by the joint readings, where the geometry is seen; NaN: no estimate."""
+    """(3,) the same by the joint readings, where the geometry is seen."""
     truth: Array
-    """(3,) true position of the object, in frame body; NaN: unknown, or the object is hidden."""
+    """(3,) true position of the object."""
     errors_px: Array
-    """(E,) by eye: true distance of the object from the centre of the image to be centred."""
+    """(E,) by eye in use: true distance of the object from the centre of the narrow image."""
     hand: Array
-    """(3,) position of the hand, in frame body; NaN: there is none."""
+    """(3,) position of the hand."""
 
 
 def moment(
@@ -79,29 +78,34 @@ def moment(
     errors_px: Array,
     hand: Array | None,
 ) -> Moment:
-    """Return the moment of a frame, from the controller's state and the observer's truth.
+    """Return the moment of a frame; `lanes` are those of other parts than the gaze."""
 
-    The state is that after the frame; lanes come in addition to the phase of the gaze.
-    """
+    def known(position: Array | None) -> Array:
+        return np.full(3, np.nan) if position is None else position
+
     readings = np.concatenate([frame.neck_angles, frame.eye_angles])
-    nowhere = np.full(3, np.nan)
+    fused = known(None if state.track is None else state.track.position)
+    axes = []
+    for T in _narrow_cameras(settings, readings).values():
+        length = np.nan_to_num(np.linalg.norm(fused - T[:3, 3]), nan=style.AXIS_M)
+        axes.append([T[:3, 3], T[:3, 3] + length * T[:3, 2]])
     return Moment(
         time_s=time_s,
         lanes={"gaze": state.phase.value, **lanes},
         readings=readings,
         commanded=setpoints_at(state.commands, frame.time_s),
-        axes=_axes(settings, readings, state),
-        fused=nowhere if state.track is None else state.track.position,
-        one_frame=nowhere if state.measured is None else state.measured,
-        by_joints=nowhere if state.by_joints is None else state.by_joints,
+        axes=np.array(axes),
+        fused=fused,
+        one_frame=known(state.measured),
+        by_joints=known(state.by_joints),
         truth=truth,
         errors_px=errors_px,
-        hand=nowhere if hand is None else hand,
+        hand=known(hand),
     )
 
 
-def _cameras(settings: GazeSettings, readings: Array) -> dict[Side, Array]:
-    """Return by eye the pose (4, 4) of the camera to be centred in frame body, at readings (j,)."""
+def _narrow_cameras(settings: GazeSettings, readings: Array) -> dict[Side, Array]:
+    """Return by eye the pose (4, 4) of the narrow camera in frame body, at readings (j,)."""
     head = settings.calibration
     return {
         eye: T_body_base(head, eye, readings)
@@ -110,32 +114,21 @@ def _cameras(settings: GazeSettings, readings: Array) -> dict[Side, Array]:
     }
 
 
-def _axes(settings: GazeSettings, readings: Array, state: GazeState) -> Array:
-    """Return Moment.axes; an axis ends at the object's distance where that is known."""
-    found = []
-    for T in _cameras(settings, readings).values():
-        length = style.AXIS_M
-        if state.track is not None:
-            length = float(np.linalg.norm(state.track.position - T[:3, 3]))
-        found.append([T[:3, 3], T[:3, 3] + length * T[:3, 2]])
-    return np.array(found)
-
-
 def aims(settings: GazeSettings, state: GazeState, frame: Frame) -> dict[str, Array]:
     """Return by camera the target pixel (2,) of the object.
 
-    In the image to be centred that is the principal point; in the wide image of another camera the
-    pixel of Eqs. 18-19 for the estimated depth, or its limit at infinity while there is none.
+    In the narrow image it is the principal point; in the wide image of another camera the pixel of
+    Eqs. 18-19 for the estimated depth, or its limit at infinity while there is no estimate.
     """
     head = settings.calibration
     readings = np.concatenate([frame.neck_angles, frame.eye_angles])
     found = {}
-    for eye, T in _cameras(settings, readings).items():
+    for eye, T in _narrow_cameras(settings, readings).items():
         cameras = settings.eyes[eye]
         found[cameras.narrow] = head.camera(cameras.narrow).intrinsics.matrix[:2, 2]
         if cameras.wide == cameras.narrow:
             continue
-        depth = np.inf
+        depth = 0.0
         if state.track is not None:
             depth = float(transform(inverse(T), state.track.position)[2])
         depth = depth if depth > 0 else np.inf
@@ -155,7 +148,7 @@ def log_gaze_frame(
     body_poses: Mapping[str, Array],
     truth: Mapping[str, Array],
 ) -> None:
-    """Record a posture, and the images with the object's target, detected and true positions.
+    """Record a posture, and images with the object's positions.
 
     Images that were not searched get no mark of a detection.
 
@@ -170,9 +163,10 @@ def log_gaze_frame(
         body_poses: by name, poses (4, 4) in the world.
         truth: by camera, the true pixel (2,) of the object.
     """
+    head, geometry = settings.calibration, state.geometry
     log_frame(
         rec,
-        settings.calibration,
+        head,
         time_s=time_s,
         index=index,
         frame=frame if pictures else None,
@@ -180,38 +174,37 @@ def log_gaze_frame(
         detected=state.pixels,
         truth=truth,
     )
-    geometry = state.geometry
     if geometry is not None and geometry.updated_s == frame.time_s:
-        log_learned(rec, settings.calibration, geometry.state)
+        log_learned(rec, head, geometry.state)
     if not pictures:
         return
     if geometry is not None and geometry.latest is not None and geometry.time_s == frame.time_s:
-        log_matches(rec, settings.calibration, geometry.latest)
+        log_matches(rec, head, geometry.latest)
     for name, pixel in aims(settings, state, frame).items():
         if name in frame.images:
             height, width = frame.images[name].shape[:2]
             u, v = pixel + 0.5
             strips = [[(0, v), (width, v)], [(u, 0), (u, height)]]
-            rec.log(f"{camera_entities(settings.calibration)[name]}/aim", rr.LineStrips2D(strips))
+            rec.log(f"{camera_entities(head)[name]}/aim", rr.LineStrips2D(strips))
 
 
 def log_gaze_styles(rec: rr.RecordingStream, head: HeadCalibration, T_world_body: Array) -> None:
     """Record names and colours of curves and marks, and the pose (4, 4) of frame body."""
-    curves: dict[str, tuple[str, tuple[int, int, int]]] = {}
+    curves: dict[str, tuple[str, tuple[int, int, int]]] = {
+        "error/by_joints": ("one frame by the joints", style.OLD),
+        "error/by_one_frame": ("one frame", style.PAPER),
+        "error/fused": ("fused", style.ESTIMATE),
+        "hand/distance": ("hand from the object", style.HAND),
+    }
     for axis, colour in style.AXIS_COLOURS.items():
         label = "x = depth" if axis == "x" else axis
         curves[f"position/true_{axis}"] = f"{label}, truth", style.PALE[axis]
         curves[f"position/{axis}"] = label, colour
     for eye, colours in style.EYE_COLOURS.items():
         curves[f"gaze_error/{eye}"] = f"{eye} eye", colours[0]
-    curves["error/by_joints"] = "one frame by the joints", style.OLD
-    curves["error/by_one_frame"] = "one frame", style.PAPER
-    curves["error/fused"] = "fused", style.ESTIMATE
-    curves["hand/distance"] = "hand from the object", style.HAND
     for joint, color in style.HEAD_JOINT_COLOURS.items():
         name = joint.replace("_", " ").removeprefix("neck ")
-        pale = tuple(round(0.45 * level + 0.55 * 255) for level in color)
-        curves[_joint(joint, "command_")] = f"{name}, commanded", (pale[0], pale[1], pale[2])
+        curves[_joint(joint, "command_")] = f"{name}, commanded", style.pale(color)
         curves[_joint(joint)] = name, color
     for entity, (name, color) in curves.items():
         line = rr.SeriesLines(names=name, colors=color, widths=1.5, aggregation_policy="MinMax")
@@ -242,19 +235,20 @@ def log_gaze_series(
     first: int = 0,
     lanes: Mapping[str, str] = MappingProxyType({}),
 ) -> None:
-    """Record curves, trails and states of moments, which are in order of time.
+    """Record curves, trails and states of moments in order of time.
 
-    Of a long run parts can be recorded: `first` is then the number of the first moment, and `lanes`
-    are those of the moment before. `eyes` are those that are used, E of them; `joints` are the
-    names of the j joints of a posture.
+    A long run is recorded in parts: `first` is the number of the first moment, and `lanes` are
+    those of the moment before. `eyes` are the E eyes in use, `joints` the names of the j joints.
     """
     if not moments:
         return
     time_s, index = np.array([m.time_s for m in moments]), first + np.arange(len(moments))
-    fused, one_frame, by_joints, truth, hand, errors = (
+    times = time_columns(time_s, index)
+    fused, one_frame, by_joints, truth, hand, errors, readings, commanded = (
         np.array([getattr(m, name) for m in moments])
-        for name in ("fused", "one_frame", "by_joints", "truth", "hand", "errors_px")
-    )
+        for name in ("fused", "one_frame", "by_joints", "truth", "hand", "errors_px", "readings",
+                     "commanded")
+    )  # fmt: skip
     series: dict[str, Array] = {
         "error/fused": 1e3 * np.linalg.norm(fused - truth, axis=1),
         "error/by_one_frame": 1e3 * np.linalg.norm(one_frame - truth, axis=1),
@@ -263,35 +257,23 @@ def log_gaze_series(
     }
     for k, axis in enumerate(style.AXIS_COLOURS):
         series |= {f"position/{axis}": fused[:, k], f"position/true_{axis}": truth[:, k]}
-    for k, eye in enumerate(eyes):
-        series[f"gaze_error/{eye}"] = errors[:, k]
+    series |= {f"gaze_error/{eye}": errors[:, k] for k, eye in enumerate(eyes)}
     for k, joint in enumerate(joints):
-        series[_joint(joint)] = np.array([m.readings[k] for m in moments])
-        series[_joint(joint, "command_")] = np.array([m.commanded[k] for m in moments])
+        series |= {_joint(joint): readings[:, k], _joint(joint, "command_"): commanded[:, k]}
     for entity, values in series.items():
-        if np.isfinite(values).any():
-            times = time_columns(time_s, index)  # with NaN, at which a curve breaks
-            rec.send_columns(entity, times, rr.Scalars.columns(scalars=values))
-    for points, names in ((fused, ("trail", "estimate")), (hand, ("hand_trail",))):
+        if np.isfinite(values).any():  # at NaN a curve breaks
+            log_curve(rec, entity, times, values)
+    for name, points in {"trail": fused, "estimate": fused, "hand_trail": hand}.items():
         good = np.isfinite(points).all(axis=1)
-        for name in names if good.any() else ():
-            times = time_columns(time_s[good], index[good])
-            rec.send_columns(
-                f"world/gaze/{name}", times, rr.Points3D.columns(positions=points[good])
-            )
+        if good.any():
+            columns = rr.Points3D.columns(positions=points[good])
+            rec.send_columns(f"world/gaze/{name}", time_columns(time_s[good], index[good]), columns)
     strips = np.array([m.axes for m in moments]).reshape(-1, 2, 3)
     rays = rr.LineStrips3D.columns(strips=list(strips)).partition(np.full(len(moments), len(eyes)))
-    rec.send_columns("world/gaze/axes", time_columns(time_s, index), rays)
-    _log_lanes(rec, moments, first, lanes)
-
-
-def _log_lanes(
-    rec: rr.RecordingStream, moments: Sequence[Moment], first: int, before: Mapping[str, str]
-) -> None:
-    for index, m in enumerate(moments, start=first):
-        for lane in {*before, *m.lanes}:
-            if before.get(lane) != m.lanes.get(lane):
-                rec.set_time("sim_time", duration=m.time_s)
-                rec.set_time("frame", sequence=index)
+    rec.send_columns("world/gaze/axes", times, rays)
+    for k, m in enumerate(moments, start=first):
+        for lane in {*lanes, *m.lanes}:
+            if lanes.get(lane) != m.lanes.get(lane):
+                set_time(rec, m.time_s, k)
                 rec.log(f"doing/{lane}", rr.StateChange(state=m.lanes.get(lane, "")))
-        before = m.lanes
+        lanes = m.lanes

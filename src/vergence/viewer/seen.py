@@ -1,33 +1,30 @@
-"""Record self-calibration: the matches in the images, and what was learned since the calibration.
+"""Record self-calibration: matches in the images, and learned parameters.
 
-/world/<side>_eye/<camera>/matches  features that both eyes see: green where they fit, red where
-                                    they do not
-/learned/gain/<joint>, focal/<camera>  change since the calibration, and plus and minus its
-                                    standard deviation [%]
+/world/<side>_eye/<camera>/matches     features that both eyes see: green inliers, red outliers
+/learned/gain/<joint>, focal/<camera>  change since the calibration, and ± its std [%]
 """
 
 from __future__ import annotations
 
 import numpy as np
 import rerun as rr
-import rerun.blueprint as rrb
 
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import parameter_values
 from vergence.self_calibration.robust_fit import INLIER
 from vergence.self_calibration.state import FilterState, FrameEstimate
 from vergence.viewer import style
-from vergence.viewer.layout import camera_entities, curves_view
+from vergence.viewer.layouts import camera_entities
 
 
 def learned_entities(known: FilterState) -> dict[str, str]:
-    """Return by parameter that is plotted its entity: gains of the joints and focal lengths."""
+    """Return the entities of the parameters that are plotted: gains and focal lengths."""
     found = {}
     for name in known.names:
-        owner, _, rest = name.partition(".")
+        owner, _, parameter = name.partition(".")
         if name.endswith("gain"):
-            found[name] = f"learned/gain/{owner}_{rest.removesuffix('_gain')}"
-        elif rest == "fx" and owner in known.cameras:
+            found[name] = f"learned/gain/{owner}_{parameter.removesuffix('_gain')}"
+        elif parameter == "fx" and owner in known.cameras:
             found[name] = f"learned/focal/{owner}"
     return found
 
@@ -40,9 +37,11 @@ def log_seen_styles(rec: rr.RecordingStream, head: HeadCalibration, known: Filte
         if name.endswith(".fx"):
             colour = style.EYE_COLOURS[head.camera(short).eye][0]
         label = short.replace("_", " ")
-        names = [label, f"{label} + std", f"{label} - std"]
-        colours = None if colour is None else [colour] * 3
-        lines = rr.SeriesLines(names=names, colors=colours, widths=[2.0, 0.7, 0.7])
+        lines = rr.SeriesLines(
+            names=[label, f"{label} + std", f"{label} - std"],
+            colors=None if colour is None else [colour] * 3,
+            widths=[2.0, 0.7, 0.7],
+        )
         rec.log(entity, lines, static=True)
 
 
@@ -57,10 +56,7 @@ def log_matches(rec: rr.RecordingStream, head: HeadCalibration, seen: FrameEstim
 
 
 def log_learned(rec: rr.RecordingStream, calibration: HeadCalibration, known: FilterState) -> None:
-    """Record what was learned since the calibration, with its deviation, at the time that was set.
-
-    Gains by their difference, focal lengths by their ratio.
-    """
+    """Record the change of gains and, relative to their size, of focal lengths, with its std."""
     before, after = parameter_values(calibration), parameter_values(known.head)
     stds = dict(zip(known.names, np.sqrt(np.diag(known.covariance)), strict=True))
     for name, entity in learned_entities(known).items():
@@ -70,13 +66,3 @@ def log_learned(rec: rr.RecordingStream, calibration: HeadCalibration, known: Fi
         scale = 100.0 / (first if name.endswith(".fx") else 1.0)
         change, std = scale * (value - first), scale * stds[name]
         rec.log(entity, rr.Scalars([change, change + std, change - std]))
-
-
-def learned_views() -> rrb.Tabs:
-    """Return the plots of what was learned."""
-    return rrb.Tabs(
-        curves_view("gains since the calibration [%], ± std: orange left, teal right",
-                    "learned/gain", legend=False),
-        curves_view("focal lengths since the calibration [%], ± std: orange left, teal right",
-                    "learned/focal", legend=False),
-    )  # fmt: skip

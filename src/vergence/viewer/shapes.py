@@ -13,7 +13,7 @@ from vergence.arrays import Array
 from vergence.geometry.head import HeadCalibration
 from vergence.stereo.extrinsics import camera_poses
 from vergence.viewer import style
-from vergence.viewer.layout import camera_entities
+from vergence.viewer.layouts import camera_entities
 
 if TYPE_CHECKING:  # the twin, and with it mujoco, is not needed to record a real head
     from vergence.twin.appearance import VisualGeom

@@ -53,8 +53,18 @@ AIM, HAND = (255, 255, 255, 110), (170, 40, 150)
 AXIS_M = 1.0
 """Drawn length of a narrow camera's axis while the object's distance is unknown."""
 GAZE_TRAIL_S = 4.0
+GAZE_ERROR_PX = 50.0
+"""Range of the plot of the gaze error [px]; larger errors occur only during saccades."""
+BEHIND_SHOULDER = np.array([-0.45, 0.75, 0.50])
+"""Direction from above and behind the left shoulder, from which the eyes' axes are seen to meet."""
 
 
 def html(rgb: tuple[int, int, int]) -> str:
     """Return a colour as matplotlib takes it, for example #1f5aff."""
     return "#{:02x}{:02x}{:02x}".format(*rgb)
+
+
+def pale(rgb: tuple[int, int, int]) -> tuple[int, int, int]:
+    """Return a colour mixed with white."""
+    r, g, b = (round(0.45 * level + 0.55 * 255) for level in rgb)
+    return r, g, b

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure as Canvas
 
 from vergence.accuracy.budget import Budget
-from vergence.viewer.plots.canvas import BLUE, GREEN, RED, panels, save
+from vergence.viewer.plots.canvas import BLUE, GREEN, RED, label, panels, save
 
 
 def save_budget(path: Path, budgets: Sequence[Budget], title: str) -> None:
@@ -41,9 +41,6 @@ def draw_budget(budgets: Sequence[Budget], title: str) -> Canvas:
             axes.barh(at, spread, height, color=colour, label=["x = depth", "y", "z"][k])
         axes.set_yticks(places, [part.name for part in parts], fontsize=9)
         x, y, z = one.point_m
-        axes.set_title(f"at ({x:g}, {y:g}, {z:g}) m", fontsize=11, loc="left")
-        axes.set_xlabel("standard deviation [mm]")
-        axes.legend(fontsize=9, frameon=False)
-        axes.grid(axis="x", color="0.9", linewidth=0.6)
-        axes.set_axisbelow(True)
+        title = f"at ({x:g}, {y:g}, {z:g}) m"
+        label(axes, title, legend=True, xlabel="standard deviation [mm]", axisbelow=True)
     return canvas

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from vergence.arrays import Array
 from vergence.calibration.checks.lens_map import LensMap
 from vergence.errors import counted
-from vergence.viewer.plots.canvas import BLUE, GREEN, RED, image_frame, panels, save
+from vergence.viewer.plots.canvas import BLUE, GREEN, RED, image_frame, label, panels, save
 
 SIGNIFICANT = 4.0
 """Standard errors from which a mean residual is marked: among 108 cells noise alone reaches 3."""
@@ -23,16 +23,9 @@ def save_coverage(
     sizes: Mapping[str, tuple[int, int]],
     eye_angles: Mapping[str, Array],
 ) -> None:
-    """Draw the corners seen by each camera, and the eye angles of the views.
+    """Draw the corners (V, K, 2) [px] that each camera saw, NaN where it did not.
 
-    Args:
-        path: of the PNG file.
-        corners: by camera, (V, K, 2) [px]; NaN where not seen.
-        sizes: by camera, width and height [px].
-        eye_angles: by eye, (V, 2) pan and tilt of where it looks [rad].
-
-    Raises:
-        VergenceError: the file cannot be written.
+    Sizes are of the cameras' images [px]; angles (V, 2) are pan and tilt of each eye [rad].
     """
     canvas, grid = panels(len(corners) + len(eye_angles), "Where the board was seen")
     for axes, (name, pixels) in zip(grid, corners.items(), strict=False):
@@ -42,10 +35,8 @@ def save_coverage(
         axes.set_title(f"{name}, {counted(seen, 'view')}", fontsize=11, loc="left")
     for axes, (eye, angles) in zip(grid[len(corners) :], eye_angles.items(), strict=True):
         axes.plot(*np.degrees(angles).T, ".", markersize=5, color=RED)
-        axes.set(xlabel="pan [deg]", ylabel="tilt [deg], positive down")
-        axes.set_title(f"{eye} eye", fontsize=11, loc="left")
+        label(axes, f"{eye} eye", xlabel="pan [deg]", ylabel="tilt [deg], positive down")
         axes.axis("equal")
-        axes.grid(color="0.9", linewidth=0.6)
     save(canvas, path)
 
 
@@ -56,17 +47,9 @@ def save_residuals(
     sizes: Mapping[str, tuple[int, int]],
     eye_angles: Mapping[str, Array],
 ) -> None:
-    """Draw residuals as magnified arrows in the image, and their size over the joint angles.
+    """Draw residuals (V, K, 2) [px] of corners (V, K, 2) [px], NaN where not seen, by camera.
 
-    Args:
-        path: of the PNG file.
-        corners: by camera, (V, K, 2) [px].
-        errors: by camera, (V, K, 2) projected minus seen [px]; NaN where not seen.
-        sizes: by camera, width and height [px].
-        eye_angles: by camera, (V, 2) pan and tilt of where its eye looks [rad].
-
-    Raises:
-        VergenceError: the file cannot be written.
+    Arrows in the image are magnified; lengths are drawn over pan and tilt (V, 2) [rad] of the eye.
     """
     canvas, grid = panels(3 * len(corners), "Residuals", columns=3)
     for k, (name, pixels) in enumerate(corners.items()):
@@ -85,8 +68,7 @@ def save_residuals(
         ):
             across = np.repeat(np.degrees(angles)[:, None], length.shape[1], axis=1)
             axes.plot(across.ravel(), length.ravel(), ".", markersize=1.5, color=GREEN)
-            axes.set(xlabel=f"{joint} [deg]", ylabel="residual [px]")
-            axes.grid(color="0.9", linewidth=0.6)
+            label(axes, "", xlabel=f"{joint} [deg]", ylabel="residual [px]")
     save(canvas, path)
 
 
@@ -112,31 +94,21 @@ def _arrows(axes: Axes, points: Array, arrows: Array, *, width: float, color: st
 def save_lenses(
     path: Path, maps: Mapping[str, LensMap], sizes: Mapping[str, tuple[int, int]]
 ) -> None:
-    """Draw for each camera, by part of its image, how well its lens is known and fits.
-
-    Args:
-        path: of the PNG file.
-        maps: by camera.
-        sizes: by camera, width and height [px].
-
-    Raises:
-        VergenceError: the file cannot be written.
-    """
+    """Draw by camera the standard deviation of its lens, coverage and residuals over the image."""
     canvas, grid = panels(3 * len(maps), "Lenses by part of the image", columns=3)
     for k, (name, own) in enumerate(maps.items()):
         width, height = sizes[name]
         mean_px = np.linalg.norm(own.residual_px, axis=-1)
-        for axes, values, title in (
-            (grid[3 * k], own.std_px, "standard deviation of the lens [px]"),
-            (
-                grid[3 * k + 1],
-                np.where(own.corners > 0, own.corners, np.nan),
-                f"corners, in {100 * own.covered:.0f} % of the image",
-            ),
-            (grid[3 * k + 2], mean_px, "mean residual [px], x: significant"),
-        ):
-            extent = (-0.5, width - 0.5, height - 0.5, -0.5)
-            shown = axes.imshow(values, extent=extent, cmap="viridis", vmin=0)
+        counts = np.where(own.corners > 0, own.corners, np.nan)
+        covered = f"number of corners, in {100 * own.covered:.0f} % of the image"
+        parts = {
+            "standard deviation of the lens [px]": (own.std_px, "linear"),
+            covered: (counts, "log"),
+            "mean residual [px], x: significant": (mean_px, "linear"),
+        }
+        extent = (-0.5, width - 0.5, height - 0.5, -0.5)
+        for axes, (title, (values, norm)) in zip(grid[3 * k :], parts.items(), strict=False):
+            shown = axes.imshow(values, extent=extent, cmap="viridis", norm=norm)
             canvas.colorbar(shown, ax=axes, shrink=0.8)
             axes.set_title(f"{name}: {title}", fontsize=10, loc="left")
             axes.set_facecolor("0.85")  # no corner was seen, or the lens reaches no direction

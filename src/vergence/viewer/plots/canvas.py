@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
@@ -45,3 +46,12 @@ def plain_log(axis: Axis) -> None:
 def image_frame(axes: Axes, size: tuple[int, int]) -> None:
     """Give axes the limits of an image of width and height [px], with the first row at the top."""
     axes.set(xlim=(-0.5, size[0] - 0.5), ylim=(size[1] - 0.5, -0.5), aspect="equal")
+
+
+def label(axes: Axes, title: str, *, legend: bool = False, **settings: Any) -> None:
+    """Give axes a title, a grid and further settings of `Axes.set`, and a legend of their lines."""
+    axes.set_title(title, fontsize=11, loc="left")
+    axes.set(**settings)
+    axes.grid(color="0.9", linewidth=0.6)
+    if legend:
+        axes.legend(fontsize=9, frameon=False)

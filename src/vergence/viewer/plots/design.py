@@ -8,7 +8,7 @@ import numpy as np
 
 from vergence.accuracy.design_settings import AXES
 from vergence.accuracy.design_sweep import Sweep, at_distance, by_source, values_of
-from vergence.viewer.plots.canvas import BLUE, GREEN, RED, panels, plain_log, save
+from vergence.viewer.plots.canvas import BLUE, GREEN, RED, label, panels, plain_log, save
 
 MAP_STEPS = 41
 LEVELS = (0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500)
@@ -34,38 +34,31 @@ def save_design(
     lines = above.contour(y, x, error_mm, levels=LEVELS, cmap="viridis")
     above.clabel(lines, fmt="%g mm", fontsize=8)
     above.invert_xaxis()  # y, to the left
-    above.set(xlabel="y [m]", ylabel="x [m]", aspect="equal")
-    above.set_title("of fixated points, from above", fontsize=11, loc="left")
+    title = "of fixated points, from above"
+    label(above, title, xlabel="y [m]", ylabel="x [m]", aspect="equal")
     baselines = settings.designs.baseline_mm
     for k in np.unique(np.linspace(0, len(baselines) - 1, CURVES).astype(int)):
         own = (int(k), *place[1:])
-        label = f"{baselines[k]:g} mm" + (" (chosen)" if own == place else "")
+        name = f"{baselines[k]:g} mm" + (" (chosen)" if own == place else "")
         width = 2.5 if own == place else 1.0
         distances = settings.workspace.distances_m
         order = np.argsort(distances)
-        curves.plot(
-            np.array(distances)[order],
-            1e3 * sweep.worst_m[own][order],
-            linewidth=width,
-            label=label,
-        )
+        errors_mm = 1e3 * sweep.worst_m[own][order]
+        curves.plot(np.array(distances)[order], errors_mm, linewidth=width, label=name)
     curves.plot(distance_m, 1e3 * accuracy_m, "x", color=RED, label="wanted")
-    curves.set(xscale="log", yscale="log", xlabel="distance [m]", ylabel="[mm]")
-    curves.set_title("worst direction and posture, by baseline", fontsize=11, loc="left")
-    curves.legend(fontsize=8, frameon=False)
+    title = "worst direction and posture, by baseline"
+    scales = {"xscale": "log", "yscale": "log"}
+    label(curves, title, legend=True, xlabel="distance [m]", ylabel="[mm]", **scales)
     worst, cost = 1e3 * at_distance(sweep, distance_m).ravel(), sweep.cost.ravel()
     order = np.lexsort((worst, cost))
     best = np.minimum.accumulate(worst[order])
     front.step(cost[order], best, where="post", color=BLUE, label="the best for a cost")
     front.axhline(1e3 * accuracy_m, color=RED, linewidth=1, label="wanted")
     front.plot(sweep.cost[place], worst.reshape(sweep.cost.shape)[place], "o", color=GREEN)
-    front.set(yscale="log", xlabel="cost", ylabel=f"worst error at {distance_m:g} m [mm]")
-    front.set_title("accuracy by cost", fontsize=11, loc="left")
-    front.legend(fontsize=8, frameon=False)
+    error = f"worst error at {distance_m:g} m [mm]"
+    label(front, "accuracy by cost", legend=True, yscale="log", xlabel="cost", ylabel=error)
     for axis in (curves.xaxis, curves.yaxis, front.yaxis):
         plain_log(axis)
-    for axes in (above, curves, front):
-        axes.grid(color="0.9", linewidth=0.6)
     save(canvas, path)
 
 
@@ -82,9 +75,8 @@ def save_properties(path: Path, sweep: Sweep, place: tuple[int, ...], distance_m
         axes.plot(values[order], line[order], ".-", color=BLUE)
         axes.plot(values[place[k]], line[place[k]], "o", color=GREEN)
         what, _, unit = name.rpartition("_")
-        label = f"{what.replace('_', ' ')} [{unit}]" if unit in UNITS else name.replace("_", " ")
+        xlabel = f"{what.replace('_', ' ')} [{unit}]" if unit in UNITS else name.replace("_", " ")
         axes.axhline(0, alpha=0)  # the margin is a part of the height above zero
         axes.margins(y=0.08)
-        axes.set(xlabel=label, ylabel="[mm]", ylim=(0, None))
-        axes.grid(color="0.9", linewidth=0.6)
+        label(axes, "", xlabel=xlabel, ylabel="[mm]", ylim=(0, None))
     save(canvas, path)

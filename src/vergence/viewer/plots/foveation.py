@@ -13,7 +13,7 @@ from vergence.gaze.foveation import foveal_miss, ideal_wide_pixel
 from vergence.geometry.head import HeadCalibration, T_narrow_wide
 from vergence.geometry.kinematics import EYES, Side
 from vergence.geometry.se3 import inverse
-from vergence.viewer.plots.canvas import panels, save
+from vergence.viewer.plots.canvas import label, panels, save
 from vergence.viewer.style import EYE_COLOURS, html
 
 NEAREST_M, FARTHEST_M = 0.25, 5.0
@@ -42,7 +42,7 @@ def draw_foveation(calibration: HeadCalibration) -> Canvas:
         colour = html(EYE_COLOURS[eye][0])
         converge.plot(depths, distance, color=colour, linewidth=width, label=f"{eye} eye")
     for wrong_m, wrong_px, colour in zip(WRONG_M, WRONG_PX, _SHADES, strict=True):
-        for axes, wrong, label in (
+        for axes, wrong, name in (
             (cost, np.full_like(depths, wrong_m), f"depth wrong by {1e3 * wrong_m:.0f} mm"),
             (
                 disparity,
@@ -51,7 +51,7 @@ def draw_foveation(calibration: HeadCalibration) -> Canvas:
             ),
         ):
             miss = miss_px(calibration, depths, wrong, eye="left")
-            axes.plot(depths, miss, color=colour, label=label)
+            axes.plot(depths, miss, color=colour, label=name)
     _finish(converge, "ideal position, from its limit at infinity", "wide image [px]")
     _finish(cost, "what an error in depth costs, left eye", "narrow image [px]")
     _finish(disparity, "what stereo by the wide images costs (Eq. 20)", "narrow image [px]")
@@ -79,12 +79,9 @@ def by_disparity(calibration: HeadCalibration, depths: Array, error_px: float) -
     return depths**2 * error_px / (baseline * focal - depths * error_px)
 
 
-def _finish(axes: Axes, title: str, label: str) -> None:
-    axes.set_title(title, fontsize=11, loc="left")
-    axes.set(xscale="log", xlim=(NEAREST_M, FARTHEST_M), xlabel="depth [m]", ylabel=label)
-    axes.set_ylim(bottom=0)
+def _finish(axes: Axes, title: str, ylabel: str) -> None:
+    limits = {"xscale": "log", "xlim": (NEAREST_M, FARTHEST_M), "ylim": (0, None)}
+    label(axes, title, legend=True, xlabel="depth [m]", ylabel=ylabel, **limits)
     marks = [0.25, 0.5, 1, 2, 5]
     axes.set_xticks(marks, [f"{mark:g}" for mark in marks])
     axes.minorticks_off()
-    axes.grid(color="0.9", linewidth=0.6)
-    axes.legend(fontsize=9, frameon=False)

@@ -10,7 +10,7 @@ from vergence.accuracy.plan import Plan
 from vergence.geometry.board import corner_points
 from vergence.geometry.head import T_head_base
 from vergence.geometry.se3 import transform
-from vergence.viewer.plots.canvas import BLUE, GREEN, RED, panels, save
+from vergence.viewer.plots.canvas import BLUE, GREEN, RED, label, panels, save
 
 AXES = "xyz"
 
@@ -27,14 +27,11 @@ def save_plan(path: Path, plan: Plan) -> None:
         axes.plot(boards[..., a].T, boards[..., b].T, color=BLUE, linewidth=1)
         axes.plot(points[:, a], points[:, b], ".", color=GREEN, label="points of the workspace")
         axes.plot(0, 0, "o", color=RED, label="head")
-        axes.set_title(title, fontsize=11, loc="left")
-        axes.set(xlabel=f"{AXES[a]} [m]", ylabel=f"{AXES[b]} [m]", aspect="equal")
-        axes.grid(color="0.9", linewidth=0.6)
+        label(axes, title, xlabel=f"{AXES[a]} [m]", ylabel=f"{AXES[b]} [m]", aspect="equal")
     above.invert_xaxis()  # y, to the left
     side.legend(fontsize=9, frameon=False, loc="lower left", bbox_to_anchor=(0, 1.08))
     largest = 1e3 * np.array([plan.before_m.max(), *plan.steps_m])
     curve.plot(np.arange(len(largest)), largest, ".-", color=BLUE)
-    curve.set_title("largest standard deviation of a point, by the calibration", fontsize=11)
-    curve.set(xlabel="views recorded", ylabel="[mm]", ylim=(0, None))
-    curve.grid(color="0.9", linewidth=0.6)
+    title = "largest standard deviation of a point, by the calibration"
+    label(curve, title, xlabel="views recorded", ylabel="[mm]", ylim=(0, None))
     save(canvas, path)

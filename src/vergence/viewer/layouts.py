@@ -1,0 +1,239 @@
+"""Layouts with which the viewer opens recordings: their views and how they play."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import chain, zip_longest
+from typing import Any
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from vergence.arrays import Array
+from vergence.geometry.head import HeadCalibration, cameras_of
+from vergence.geometry.kinematics import EYES
+from vergence.viewer import style
+
+
+def camera_entities(head: HeadCalibration) -> dict[str, str]:
+    """Return the entity of each camera in a recording."""
+    return {name: f"world/{mounted.eye}_eye/{name}" for name, mounted in head.cameras.items()}
+
+
+def curves_view(
+    name: str, origin: str, *, legend: bool = True, **options: Any
+) -> rrb.TimeSeriesView:
+    """Plot the curves below an entity over the whole recording; a legend hides the latest samples.
+
+    Further options are those of `TimeSeriesView`.
+    """
+    # Without a range a plot keeps the one of what was loaded when it was first drawn.
+    ever = rr.TimeRangeBoundary.infinite()
+    options["axis_x"] = rrb.TimeAxis(view_range=rr.TimeRange(start=ever, end=ever))
+    if not legend:
+        options["plot_legend"] = rrb.PlotLegend(visible=False)
+    return rrb.TimeSeriesView(name=name, origin=origin, **options)
+
+
+def report_view() -> rrb.TextDocumentView:
+    """Show the report of a recording."""
+    return rrb.TextDocumentView(name="report", origin="report")
+
+
+def view_3d(
+    name: str,
+    *,
+    middle: Array,
+    eye: Array,
+    origin: str = "world",
+    contents: tuple[str, ...] = (),
+    trails: Mapping[str, float | None] | None = None,
+) -> rrb.Spatial3DView:
+    """Show a 3-D view in which z points up.
+
+    Args:
+        name: title of the view.
+        middle: (3,) the point that the view looks at.
+        eye: (3,) the point that it looks from.
+        origin: entity in whose frame it is drawn, with all that is below it.
+        contents: further expressions for entities to draw or to hide.
+        trails: by entity, seconds before the cursor for which it stays visible; None: for ever.
+    """
+    boundary, overrides = rr.TimeRangeBoundary, {}
+    now = boundary.cursor_relative(seconds=0)
+    for entity, seconds in (trails or {}).items():
+        first = (
+            boundary.infinite() if seconds is None else boundary.cursor_relative(seconds=-seconds)
+        )
+        shown = rrb.VisibleTimeRange("sim_time", start=first, end=now)
+        overrides[entity] = rrb.VisibleTimeRanges(shown)
+    return rrb.Spatial3DView(
+        name=name,
+        origin=origin,
+        contents=["+ $origin/**", *contents],
+        background=rrb.Background(color=style.BACKGROUND),
+        line_grid=False,
+        eye_controls=rrb.EyeControls3D(position=eye, look_target=middle, eye_up=(0, 0, 1)),
+        overrides=overrides,
+    )
+
+
+def hidden(head: HeadCalibration, *marks: str) -> tuple[str, ...]:
+    """Return the expressions that leave marks in the images out of a 3-D view."""
+    entities = camera_entities(head).values()
+    return tuple(f"- {entity}/{mark}" for entity in entities for mark in marks)
+
+
+def camera_views(head: HeadCalibration, *, marks: str) -> rrb.Grid:
+    """Show the cameras, the widest of each eye first; titles explain the marks."""
+
+    def narrowness(name: str) -> float:
+        camera = head.camera(name).intrinsics
+        return float(camera.matrix[0, 0] / camera.width)
+
+    views, entities = [], camera_entities(head)
+    by_eye = [sorted(cameras_of(head, eye), key=narrowness) for eye in EYES]
+    for name in filter(None, chain.from_iterable(zip_longest(*by_eye))):
+        camera = head.camera(name).intrinsics
+        bounds = rrb.VisualBounds2D(x_range=(0, camera.width), y_range=(0, camera.height))
+        title = f"{name.replace('_', ' ')}: {marks}"
+        views.append(rrb.Spatial2DView(name=title, origin=entities[name], visual_bounds=bounds))
+    return rrb.Grid(*views, grid_columns=2)
+
+
+def learned_views() -> rrb.Tabs:
+    """Plot the parameters that self-calibration has learned."""
+    title = "{} since the calibration [%], ± std: orange left, teal right"
+    return rrb.Tabs(
+        curves_view(title.format("gains"), "learned/gain", legend=False),
+        curves_view(title.format("focal lengths"), "learned/focal", legend=False),
+    )
+
+
+def playing(
+    views: rrb.Horizontal,
+    *,
+    timeline: str = "sim_time",
+    speed: float | None = None,
+    fps: float | None = None,
+) -> rrb.Blueprint:
+    """Open with these views only, and play in a loop.
+
+    On sim_time `speed` is in recorded seconds per second; on frame `fps` is in steps per second.
+    """
+    panel = rrb.TimePanel(
+        timeline=timeline,
+        state="collapsed",
+        playback_speed=speed,
+        fps=fps,
+        loop_mode="all",
+        play_state="playing",
+    )
+    return rrb.Blueprint(views, panel, auto_views=False, collapse_panels=True)
+
+
+def dataset_blueprint(head: HeadCalibration, magnification: int | None) -> rrb.Blueprint:
+    """Lay out a calibrated dataset; None: it has no residuals, which would be magnified."""
+    marks = "dots: corners"
+    if magnification is not None:
+        marks += f", lines: residuals x {magnification}"
+    space = view_3d(
+        "estimated poses of eyes and board",
+        middle=np.array([0.35, -0.04, 0.0]),
+        eye=np.array([-0.1, 0.5, 0.3]),
+        contents=hidden(head, "corners", "residuals"),
+    )
+    curves = rrb.Vertical(
+        curves_view("residuals of an image, rms [px]", "residual"),
+        curves_view("joint readings [rad]", "joints"),
+        report_view(),
+        row_shares=[3, 3, 5],
+    )
+    images = rrb.Vertical(space, camera_views(head, marks=marks), row_shares=[5, 8])
+    views = rrb.Horizontal(images, curves, column_shares=[6, 5])
+    return playing(views, timeline="frame", fps=2.0)
+
+
+def depth_blueprint() -> rrb.Blueprint:
+    """Lay out dense depth."""
+    space = view_3d(
+        "points in the left eye's base frame",
+        middle=np.array([0.9, 0.0, -0.2]),
+        eye=np.array([-0.5, 0.5, 0.5]),
+    )
+    titles = {
+        "left": "left, rectified",
+        "right": "right, rectified",
+        "disparity": "disparity [px / 16]",
+        "depth": "depth [mm]",
+        "std": "standard deviation of the depth [mm]",
+    }
+    images = [
+        rrb.Spatial2DView(name=title, origin=f"rectified/{entity}")
+        for entity, title in titles.items()
+    ]
+    grid = rrb.Grid(*images, report_view(), grid_columns=2)
+    return playing(rrb.Horizontal(space, grid), timeline="frame", fps=2.0)
+
+
+def gaze_blueprint(
+    title: str,
+    head: HeadCalibration,
+    *,
+    reach_m: float,
+    speed: float,
+    hand: bool,
+    seen: bool = False,
+) -> rrb.Blueprint:
+    """Lay out a recording of gaze control.
+
+    Args:
+        title: of the 3-D view.
+        head: the calibration whose cameras are shown.
+        reach_m: largest distance of an object, which the 3-D view includes.
+        speed: recorded seconds per second.
+        hand: whether the distance of a hand from the object is shown.
+        seen: whether matches and learned parameters are shown.
+    """
+
+    def plot(name: str, origin: str, **options: Any) -> rrb.TimeSeriesView:
+        return curves_view(name, origin, legend=False, **options)
+
+    middle = np.array([reach_m / 2 - 0.1, 0.0, style.EYE_HEIGHT_M - 0.04])
+    space = view_3d(
+        f"{title}: head, axes of the narrow cameras, estimate and truth",
+        middle=middle,
+        eye=middle + (0.15 + 0.75 * reach_m) * style.BEHIND_SHOULDER,
+        contents=("- world/board/**", *hidden(head, "detected", "truth", "aim", "matches")),
+        trails=dict.fromkeys(("world/gaze/trail", "world/gaze/hand_trail"), style.GAZE_TRAIL_S),
+    )
+    marks = "long cross target, + found, ○ truth" + (", dots matched" if seen else "")
+    lines = "blue fused, grey one frame" + (", pale by the joints" if seen else "")
+    errors = plot(f"error [mm]: {lines}", "error")
+    if hand:
+        of_hand = plot("hand by its encoders, from the object [mm]", "hand")
+        errors = rrb.Horizontal(errors, of_hand)
+    curves = [
+        rrb.StateTimelineView(name="what it is doing", origin="doing"),
+        plot(
+            "object from the centre of the narrow images [px], cut off: orange left eye, teal "
+            "right",
+            "gaze_error",
+            axis_y=rrb.ScalarAxis(range=(0, style.GAZE_ERROR_PX), zoom_lock=True),
+        ),
+        plot("position in the body [m], pale truth: x (depth) blue, y green, z red", "position"),
+        errors,
+        *([learned_views()] if seen else []),
+        plot("eyes [rad], pale commanded: orange left, teal right, light tilt", "eyes"),
+        rrb.Tabs(
+            report_view(),
+            plot("neck [rad], pale commanded: pitch violet, roll grey, yaw green", "neck"),
+        ),
+    ]
+    views = rrb.Horizontal(
+        rrb.Vertical(space, camera_views(head, marks=marks), row_shares=[5, 8]),
+        rrb.Vertical(*curves),
+        column_shares=[6, 5],
+    )
+    return playing(views, speed=speed)
