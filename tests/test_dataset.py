@@ -302,7 +302,7 @@ def test_readings_before_a_gear_are_neither_wrapped_nor_limited(folder):
     ("change", "said"),
     [
         ({"kinematics.left": None}, "kinematics.left is missing; that eye has a camera"),
-        ({"kinematics.left": []}, "kinematics.left has no joint, but that eye has a camera"),
+        ({"kinematics.left": []}, "kinematics.left has no joint; that eye has a camera"),
         ({"readings.tilt": None}, "readings.tilt is missing"),
         ({"readings.roll": {"unit": "deg"}}, "readings.roll is in no joint of kinematics"),
         ({"eye_motion": "poses"}, "eye_motion is poses, but kinematics is given"),

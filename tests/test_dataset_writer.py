@@ -76,7 +76,7 @@ def test_what_is_written_is_read_back(tmp_path, joint):
 def test_other_readings_than_described_are_refused_and_nothing_is_left(tmp_path, angles):
     row = entries(1, np.random.default_rng(1))[0]
     wrong = replace(row, frame=replace(row.frame, **angles))
-    with pytest.raises(VergenceError, match=r"needs the readings .*; found an array of shape"):
+    with pytest.raises(VergenceError, match=r"needs numbers of the readings .*; found "):
         write_dataset(tmp_path / "set", about(), [wrong])
     assert not (tmp_path / "set").exists()
 
@@ -138,8 +138,8 @@ def test_images_are_those_of_their_row_though_the_driver_uses_one_array_again(tm
 @pytest.mark.parametrize(
     ("changed", "said"),
     [
-        ({"time_s": None}, r"time stamps of a row are numbers; found \(None, "),
-        ({"eye_angles": [0.1, "x", 0.0, 0.0]}, "readings of a row are numbers; found .*'x'"),
+        ({"time_s": None}, "line 2: time_s is blank"),
+        ({"eye_angles": [0.1, "x", 0.0, 0.0]}, "needs numbers of the readings .*; found .*'x'"),
     ],
 )
 def test_what_are_no_numbers_is_refused(tmp_path, changed, said: str):
@@ -156,7 +156,7 @@ def test_poses_take_the_place_of_angles_and_are_read_back_exactly(tmp_path):
     T = np.array([[random_pose(rng), random_pose(rng)] for _ in range(3)])
     made = zip(entries(3, rng), T, strict=True)
     write_dataset(folder, described, [DatasetRow(frame=e.frame, T_base_eye=t) for e, t in made])
-    with pytest.raises(VergenceError, match=r"needs the poses of both eyes.*; found none"):
+    with pytest.raises(VergenceError, match=r"needs the poses of both eyes.*; found None"):
         write_dataset(tmp_path / "none", described, entries(1, rng))
     scaled = replace(entries(1, rng)[0], T_base_eye=np.tile(np.diag([2.0, 2, 2, 1]), (2, 1, 1)))
     with pytest.raises(VergenceError, match=r"line 2: left_T00 to .*: expected a rigid transform"):

@@ -158,7 +158,6 @@ def test_a_table_without_end_is_refused(sound_files):
     assert "100000 rows" in sentence(kind, "\n".join(long).encode())
     first = lines[1].split(",")
     for cell, says in (
-        ("9" * 60_000 + "x", "over 4096 characters"),
         ("9" * 4000, "not a finite number"),
         ("1" + "_0" * 50, "not a finite number"),
         ("1e400", "not a finite number"),

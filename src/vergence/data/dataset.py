@@ -1,12 +1,11 @@
-"""Frames of images and joint readings, and datasets: recordings of them on disk.
+"""Frames of images and joint readings, and datasets, which are recordings of frames on disk.
 
-A dataset is a folder whose format docs/dataset.md describes. `data.description` is what its
-dataset.json states; `data.reader` reads a dataset and `data.writer` writes it.
+`data.description` describes a dataset, `data.reader` reads and `data.writer` writes one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -81,23 +80,23 @@ class Dataset:
         return f"<Dataset {self.folder}: {counted(len(self), 'frame')} of {', '.join(self.files)}>"
 
     def image(self, camera: str, row: int) -> np.ndarray | None:
-        """Return an image (H, W, 3) uint8, RGB; None where the camera has none in this row.
+        """Read an image (H, W, 3) uint8, RGB; None where the camera has none in this row.
 
         VergenceError if the file cannot be read, or its size differs from dataset.json.
         """
-        image, name = self.readable_image(camera, row), self._files_of(camera)[row]
-        if image is None and name is not None:
-            raise VergenceError(f"{self.where(row)}: {camera}: {name} {UNREADABLE}.")
+        image = self.readable_image(camera, row)
+        if image is None and self.files[camera][row] is not None:
+            raise VergenceError(
+                f"{self.where(row)}: {camera}: {self.files[camera][row]} {UNREADABLE}."
+            )
         return image
 
     def readable_image(self, camera: str, row: int) -> np.ndarray | None:
-        """Return an image as `image` does, but None too where the file is not a readable image.
-
-        VergenceError if the file cannot be opened, or if by its header its size differs from
-        dataset.json.
-        """
-        if self._files_of(camera)[row] is None:
-            return None
+        """Read an image as `image` does, but return None for a damaged file."""
+        if camera not in self.files:
+            raise VergenceError(
+                f"No camera is called {camera!r}; the dataset has {', '.join(self.files)}."
+            )
         image = self._decoded(camera, row)
         if image is None or image.dtype == np.uint8:
             return image
@@ -105,48 +104,42 @@ class Dataset:
             self._bits[camera] = self._filled_bits(camera, image)
         return eight_bits(image, self._bits[camera])
 
-    def _files_of(self, camera: str) -> Sequence[str | None]:
-        if camera not in self.files:
-            raise VergenceError(
-                f"No camera is called {camera!r}; the dataset has {', '.join(self.files)}."
-            )
-        return self.files[camera]
-
     @cached_property
     def _bits(self) -> dict[str, int]:
-        """By camera, how many bits of its images of 16 bits are filled: a cache."""
+        """Bits that each camera fills, a cache."""
         return {}
 
     def _filled_bits(self, camera: str, image: np.ndarray) -> int:
-        """Return how many bits a camera fills, as stated or by the brightest of some images.
+        """Estimate the bits that a camera fills from its brightest image, unless they are stated.
 
-        These are spread over the recording, of which the first may be dark. The given image counts
-        where none of them has 16 bits.
+        Images over the whole recording are read, since the first may be dark.
         """
         stated = self.description.cameras[camera].bits
         if stated is not None:
             return stated
-        rows, deep = [k for k, name in enumerate(self.files[camera]) if name is not None], []
+        rows = [k for k, name in enumerate(self.files[camera]) if name is not None]
+        images = []
         for k in rows[:: 1 + len(rows) // _BRIGHTEST_OF]:
-            with suppress(VergenceError):  # whoever reads that row is told
-                deep.append(self._decoded(camera, k))
-        deep = [each for each in deep if each is not None and each.dtype != np.uint8]
+            with suppress(VergenceError):  # raised when that row is read
+                images.append(self._decoded(camera, k))
+        deep = [each for each in images if each is not None and each.dtype != np.uint8]
         return max(map(filled_bits, deep or [image]))
 
     def _decoded(self, camera: str, row: int) -> np.ndarray | None:
-        path = self.folder / str(self.files[camera][row])
-        content = read_bytes(path, MAX_IMAGE_BYTES)
+        name, stated = self.files[camera][row], self.description.cameras[camera]
+        if name is None:
+            return None
+        content = read_bytes(self.folder / name, MAX_IMAGE_BYTES)
         size = image_size(content)
-        stated = self.description.cameras[camera]
         if size is not None and size != (stated.width, stated.height):
             raise VergenceError(
-                f"{self.where(row)}: {camera}: {self.files[camera][row]} has {size[0]} x {size[1]} "
-                f"pixels, but dataset.json says {stated.width} x {stated.height}."
+                f"{self.where(row)}: {camera}: {name} has {size[0]} x {size[1]} pixels, but "
+                f"dataset.json says {stated.width} x {stated.height}."
             )
         return None if size is None else decode_image(content, size)
 
     def frame(self, row: int) -> Frame:
-        """Return a row with all its images, as a head's driver would; errors: see `image`."""
+        """Read a row with all its images; errors as in `image`."""
         images = {name: self.image(name, row) for name in self.files}
         return Frame(
             time_s=float(self.time_s[row]),
@@ -157,23 +150,23 @@ class Dataset:
         )
 
     def where(self, row: int) -> str:
-        """Return the file and line of a row, as messages cite it."""
+        """Cite the file and line of a row."""
         return f"{self.folder / FRAMES}, line {self.lines[row]}"
 
 
 _BRIGHTEST_OF = 12
-"""Images over a recording by which it is guessed how many bits a camera fills."""
+"""Number of images from which the bits of a camera are estimated; more take longer to read."""
 MAX_GAP_S = 0.2
-"""Longest time between successive rows of one motion."""
+"""Longest time [s] between successive rows of one motion; six images at 30 Hz."""
 LEAST_MOVING = 3
-"""Rows of a motion at least, so that its velocity can be estimated."""
+"""Fewest rows of a motion, so that its velocity can be estimated."""
 
 
 def runs(dataset: Dataset) -> np.ndarray:
-    """Return (N,) of int: the number of the motion that each row belongs to, 0 for eyes at rest.
+    """Number the motion of each row (N,) of int from 1; 0 for eyes at rest.
 
-    Motions are counted from 1; one ends where the eyes rest or rows are more than MAX_GAP_S apart.
-    VergenceError if one has fewer than LEAST_MOVING rows, too few to estimate its velocity.
+    A motion ends where the eyes rest or rows are more than MAX_GAP_S apart. VergenceError if one
+    has fewer than LEAST_MOVING rows.
     """
     late = np.diff(dataset.joint_time_s, prepend=-np.inf) > MAX_GAP_S
     before = np.concatenate([[False], dataset.moving[:-1]])

@@ -1,12 +1,10 @@
-"""Reading datasets from disk. The format is described, with an example, in docs/dataset.md.
-
-Whatever is missing, doubtful or impossible is refused with the file, the line and the column.
-"""
+"""Read and check datasets; docs/dataset.md describes the format with an example."""
 
 from __future__ import annotations
 
 import os
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +15,6 @@ from vergence.data.dataset import LEAST_MOVING, MAX_GAP_S, Dataset
 from vergence.data.description import DESCRIPTION, FRAMES, MOVING, Description
 from vergence.data.table import (
     Table,
-    check_columns,
     is_angle,
     joint_angles,
     measured_eye_poses,
@@ -32,10 +29,11 @@ from vergence.geometry.kinematics import EYES, Kinematics, eye_joint_angles
 from vergence.geometry.neck import NECK_JOINTS
 
 MAX_EYE_RAD = 1.2
-"""Larger angles of an eye are implausible: probably degrees that were declared as radians."""
+"""Largest plausible angle of an eye; larger ones are probably degrees stated as radians."""
 MOVED_RAD = 0.01
-"""Turn of an eye that is no noise of its readings."""
+"""Smallest turn between rows that counts as motion; above the noise of encoders."""
 MAX_DESCRIPTION_BYTES = 2**20
+"""Largest dataset.json; 64 cameras with intrinsics have 50 kB."""
 
 
 def load_dataset(folder: str | Path) -> Dataset:
@@ -46,11 +44,10 @@ def load_dataset(folder: str | Path) -> Dataset:
             the field or line.
     """
     folder = Path(folder)
-    if os.path.isfile(folder):
+    if os.path.isfile(folder):  # methods of Path raise where a name is too long
         raise VergenceError(
             f"{folder} is a file; a dataset is a folder with {DESCRIPTION} and {FRAMES}."
         )
-    # Those of os.path: methods of Path raise where a name is too long, or may not be looked up.
     if not os.path.isdir(folder):
         raise VergenceError(f"There is no dataset folder {folder}.")
     for name in (DESCRIPTION, FRAMES):
@@ -63,8 +60,7 @@ def load_dataset(folder: str | Path) -> Dataset:
         parse_json,
         most_bytes=MAX_DESCRIPTION_BYTES,
     )
-    table = read_table(folder / FRAMES)
-    check_columns(table, description)
+    table = read_table(folder / FRAMES, description)
     poses, moving = description.eye_motion == "poses", table.whole_numbers(MOVING, 1) == 1
     time_s, joint_time_s = time_stamps(table)
     eye_angles = joint_angles(description, description.head_kinematics.readings, table)
@@ -92,15 +88,14 @@ def load_dataset(folder: str | Path) -> Dataset:
 def _description(content: Any) -> Description:
     try:
         return validated(content, Description)
-    except ValueError as error:
-        reason = re.sub(r"^board\.(chessboard|charuco)", "board", str(error))
-        raise ValueError(reason) from None
+    except ValueError as error:  # without the kind of board, which pydantic adds
+        raise ValueError(re.sub(r"^board\.(chessboard|charuco)", "board", str(error))) from None
 
 
 def _image_files(
     folder: Path, description: Description, table: Table
 ) -> dict[str, tuple[str | None, ...]]:
-    """Return the N image files of each camera, after checking that they exist in the folder."""
+    """List the N image files of each camera; each must exist in the folder and be used once."""
     root = folder.resolve()
     used: dict[Path, str] = {}
     for k, line in enumerate(table.lines):
@@ -127,41 +122,39 @@ def _image_files(
     }
 
 
-def _odd_units(description: Description, eye_angles: Array, table: Table) -> tuple[Finding, ...]:
-    """Return a note for each joint whose angles (N, r) look like another unit."""
-    findings, sources = [], description.sources
+def _odd_units(description: Description, eye_angles: Array, table: Table) -> Iterator[Finding]:
+    """Note each joint whose angles (N, r) look like those of another unit."""
     for n, name in enumerate(description.head_kinematics.readings):
-        joint = sources.get(name)
+        joint = description.sources.get(name)
         if joint is None or not is_angle(description, name):
             continue
         k = np.abs(eye_angles[:, n]).argmax()
         reading = table.columns[joint.column][k]
         if abs(eye_angles[k, n]) > MAX_EYE_RAD:
+            unit = "deg" if joint.unit == "rad" else "right"
             sentence = (
                 f"{name} reaches {reading} {joint.unit} in line {table.lines[k]}, further than "
-                f"eyes turn: is its unit {'deg' if joint.unit == 'rad' else 'right'}?"
+                f"eyes turn: is its unit {unit}?"
             )
-            findings.append(note("odd-unit", sentence, name))
+            yield note("odd-unit", sentence, name)
         elif joint.unit == "deg" and 0.05 < abs(float(reading)) < MAX_EYE_RAD:
             sentence = f"{name} never exceeds {reading} degrees: are these radians?"
-            findings.append(note("odd-unit", sentence, name))
-    return tuple(findings)
+            yield note("odd-unit", sentence, name)
 
 
 def _unmarked_motion(
     kinematics: Kinematics, eye_angles: Array, joint_time_s: Array, moving: np.ndarray
-) -> tuple[Finding, ...]:
-    """Return a note on rows that are said to be at rest, but follow one another in a motion."""
+) -> Iterator[Finding]:
+    """Note rows that are stated to be at rest but belong to a motion."""
     angles = [eye_joint_angles(kinematics, eye, eye_angles) for eye in EYES]
     turned = np.nan_to_num(np.abs(np.diff(np.concatenate(angles, axis=1), axis=0)))
     turned = turned.max(axis=1, initial=0.0)  # readings of an eye without a camera may be missing
     soon = np.diff(joint_time_s) <= MAX_GAP_S
     odd = int(((turned > MOVED_RAD) & soon & ~(moving[1:] & moving[:-1])).sum())
-    if odd < LEAST_MOVING:
-        return ()
-    sentence = (
-        f"{odd} rows have other joint angles than the row before, which is at most {MAX_GAP_S} s "
-        "older, and `moving` is not 1: if the eyes moved while the images were taken, set it to 1, "
-        "so that the time of a reading counts."
-    )
-    return (note("unmarked-motion", sentence),)
+    if odd >= LEAST_MOVING:
+        sentence = (
+            f"{odd} rows have other joint angles than the row before, which is at most {MAX_GAP_S} "
+            "s older, and `moving` is not 1: if the eyes moved while the images were taken, set it "
+            "to 1, so that the time of a reading counts."
+        )
+        yield note("unmarked-motion", sentence)

@@ -1,6 +1,6 @@
-"""The table of a dataset, frames.csv: its rows as text, and the numbers that they stand for.
+"""Read and check the table of a dataset, frames.csv.
 
-Rows that were read and rows that are to be written are checked alike.
+The writer of datasets checks its rows with the same functions.
 """
 
 from __future__ import annotations
@@ -31,43 +31,42 @@ from vergence.geometry.kinematics import EYES
 from vergence.geometry.neck import NECK_JOINTS
 
 MAX_DELAY_S = 1.0
-"""Largest time between an image and its joint reading; more means that the clocks differ."""
+"""Largest time between an image and its joint reading [s]; more means that the clocks differ."""
 MAX_TIME_S = 1e11
-"""Later than any time since 1970 in seconds."""
+"""Larger than any time since 1970 in seconds."""
 MAX_SPAN_S = 1e7
-"""A recording does not take a hundred days."""
+"""Longest recording [s], a hundred days; a longer one has another unit."""
 MAX_NECK_MOTION_RAD = 0.02
-"""Largest apparent motion of the neck among rows of one placement."""
-# float() and int() also take 1_000 and digits of other scripts, which other readers do not.
+"""Largest motion of the neck among rows of one placement; chosen above the noise of encoders."""
+# float() and int() also accept 1_000 and digits of other scripts.
 NUMBER = re.compile(r"[-+]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][-+]?[0-9]+)?")
 WHOLE_NUMBER = re.compile(r"[0-9]{1,10}")
-
 MAX_TABLE_BYTES = 32 * 2**20
+"""Largest frames.csv; 100,000 rows of ten columns have 10 MB."""
 MAX_ROWS = 100_000
+"""Most rows: an hour at 30 Hz."""
 MAX_COLUMNS = 1000
-MAX_CELL = 4096
-"""Characters of a cell, which may be the name of a file."""
+"""Most columns; poses and 64 cameras need 100."""
 
 
 @dataclass(frozen=True)
 class Table:
-    """N rows of frames.csv as text, which are read or are to be written."""
+    """N rows of frames.csv as text."""
 
     path: Path
     lines: tuple[int, ...]
     """N line numbers in the file."""
     columns: dict[str, tuple[str, ...]]
-    """N cells by the column's name."""
+    """N cells by column."""
 
     def where(self, k: int) -> str:
-        """Return the file and line of row k, as messages cite it."""
+        """Cite the file and line of row k."""
         return f"{self.path}, line {self.lines[k]}"
 
     def numbers(self, names: list[str]) -> Array:
-        """Return the numbers (N, n) of n columns; VergenceError where one is not finite."""
+        """Parse n columns (N, n); VergenceError where a number is not finite."""
         cells = [self.columns[name] for name in names]
-        values = [[_number(text) for text in column] for column in cells]
-        values = np.array(values).T
+        values = np.array([[_number(text) for text in column] for column in cells]).T
         for k, n in np.argwhere(~np.isfinite(values)).tolist():
             found = repr(cells[n][k][:40]) if cells[n][k] else "blank"
             raise VergenceError(
@@ -76,7 +75,7 @@ class Table:
         return values
 
     def whole_numbers(self, name: str, largest: int) -> np.ndarray:
-        """Return a column's numbers (N,) of int, from 0 to largest; -1 where a cell is blank."""
+        """Parse a column (N,) of int from 0 to largest; -1 where a cell is blank."""
         texts = self.columns.get(name, ("",) * len(self.lines))
         for k, text in enumerate(texts):
             if text and not (WHOLE_NUMBER.fullmatch(text) and int(text) <= largest):
@@ -91,29 +90,27 @@ def _number(text: str) -> float:
     return float(text) if len(text) <= MAX_DIGITS and NUMBER.fullmatch(text) else nan
 
 
-def read_table(path: Path) -> Table:
-    """Read the rows that are not blank; editors leave blank lines at the end."""
+def read_table(path: Path, description: Description) -> Table:
+    """Read the rows that are not blank, and check the columns."""
     content = read_bytes(path, MAX_TABLE_BYTES)
     rows: dict[int, list[str]] = {}
     try:
         reader = csv.reader(StringIO(content.decode("utf-8-sig"), newline=""), strict=True)
         header = [" ".join(name.split()) for name in next(reader, [])]
         for cells in reader:
-            if any(len(cell) > MAX_CELL for cell in cells):
-                raise ValueError(f"line {reader.line_num} has a cell of over {MAX_CELL} characters")
             stripped = [*map(str.strip, cells)]
             if any(stripped):
                 rows[reader.line_num] = stripped
-            if len(cells) > MAX_COLUMNS or len(rows) > MAX_ROWS or len(header) > MAX_COLUMNS:
+            if len(cells) > MAX_COLUMNS or len(rows) > MAX_ROWS:
                 raise ValueError(f"it has more than {MAX_COLUMNS} columns or {MAX_ROWS} rows")
-    except (csv.Error, ValueError) as error:  # ValueError: not UTF-8 too
+    except (csv.Error, ValueError) as error:  # ValueError: also for text that is not UTF-8
         raise VergenceError(f"{path} is not a CSV file of frames: {explain(error)}.") from None
     if not any(header):
         raise VergenceError(f"{path} is empty; its first line names the columns.")
     if len(header) == 1 and ";" in header[0]:
         raise VergenceError(f"{path} is separated by semicolons; use commas.")
-    if len(set(header)) < len(header):
-        name, _ = Counter(header).most_common(1)[0]
+    name, uses = Counter(header).most_common(1)[0]
+    if uses > 1:
         raise VergenceError(f"{path}: the column {name!r} is repeated.")
     for line, cells in rows.items():
         if len(cells) != len(header):
@@ -123,39 +120,41 @@ def read_table(path: Path) -> Table:
             )
     if not rows:
         raise VergenceError(f"{path} has no frames, only a header.")
+    _check_columns(path, header, description)
     columns = zip(*rows.values(), strict=True)
     return Table(path, tuple(rows), dict(zip(header, columns, strict=True)))
 
 
-def check_columns(table: Table, description: Description) -> None:
-    """Raise a VergenceError where a column is missing, or is not known."""
-    known, found = description.columns, table.columns
+def _check_columns(path: Path, header: list[str], description: Description) -> None:
+    known = description.columns
     for name in known:
-        if name not in found and name != MOVING:
+        if name not in header and name != MOVING:
             raise VergenceError(
-                f"{table.path}: the column {name!r} is missing; found {', '.join(found)}."
+                f"{path}: the column {name!r} is missing; found {', '.join(header):.1000}."
             )
-    for name in found:
+    for name in header:
         if name not in known and not name.startswith("_"):
             raise VergenceError(
-                f"{table.path}: the column {name!r} is not known; names of additional columns "
-                "begin with an underscore."
+                f"{path}: the column {name!r} is not known; names of additional columns begin with "
+                "an underscore."
             )
 
 
 def time_stamps(table: Table) -> tuple[Array, Array]:
-    """Return the time stamps of the images and of the joint readings, (N,) each [s]."""
+    """Parse the time stamps of images and joint readings, (N,) each [s]."""
     names = [TIME, JOINT_TIME]
     times = table.numbers(names)
-    for k, n in np.argwhere(np.abs(times) > MAX_TIME_S).tolist()[:1]:
+    for k, n in np.argwhere(np.abs(times) > MAX_TIME_S).tolist():
+        thousands = np.log10(np.abs(times[k, n]) / 1.8e9) / 3  # 1.8e9 s since 1970: the year 2027
+        units = ("milliseconds", "microseconds", "nanoseconds")
         raise VergenceError(
             f"{table.where(k)}: {names[n]} = {table.columns[names[n]][k]} is no time in seconds; "
-            f"if it is in {_unit(float(times[k, n]))}, convert it."
+            f"if it is in {units[int(np.clip(round(thousands), 1, 3)) - 1]}, convert it."
         )
     span = np.ptp(times[:, 0])
     if span > MAX_SPAN_S:
         raise VergenceError(
-            f"{table.path}: {names[0]} spans {span:.3g} s, {span / 86400:.0f} days; convert time "
+            f"{table.path}: {TIME} spans {span:.3g} s, {span / 86400:.0f} days; convert time "
             "stamps in nanoseconds or microseconds to seconds."
         )
     steps = np.diff(times, axis=0)
@@ -175,52 +174,46 @@ def time_stamps(table: Table) -> tuple[Array, Array]:
     return time_s, joint_time_s
 
 
-def _unit(stamp: float) -> str:
-    """Return the unit in which a time since 1970 would be about this large."""
-    digits = np.log10(abs(stamp)) - 9.25  # of seconds, in these decades
-    units = ("milliseconds", "microseconds", "nanoseconds")
-    return units[int(np.clip(round(digits / 3), 1, 3)) - 1]
-
-
 def joint_angles(description: Description, names: tuple[str, ...], table: Table) -> Array:
-    """Return joint angles (N, n) [rad], signs applied; zeros for a joint without a column."""
+    """Parse the readings of n joints (N, n) [rad]; zero for a joint without a column."""
     angles, sources = np.zeros((len(table.lines), len(names))), description.sources
-    for n, name in enumerate(names):
-        joint = sources.get(name)
+    for n, joint in enumerate(map(sources.get, names)):
         if joint is None:
             continue
         readings = joint.sign * table.numbers([joint.column])[:, 0]
-        turned = np.radians(readings) if joint.unit == "deg" else readings
-        if not is_angle(description, name):
-            angles[:, n] = turned
-            continue
-        beyond = (np.abs(turned) > np.pi) & (np.abs(turned) <= 2 * np.pi)  # 359 degrees are -1
-        angles[:, n] = turned - np.where(beyond, 2 * np.pi * np.sign(turned), 0.0)
-        for k in np.flatnonzero(np.abs(angles[:, n]) > np.pi).tolist():
-            where = "joints" if name in description.joints else "readings"
-            advice = []
-            if joint.unit == "rad":
-                advice.append(f'if it is in degrees, set {where}.{name}.unit to "deg"')
-            if where == "readings":
-                advice.append("if it is of a motor before a gear, give its factor in kinematics")
-            raise VergenceError(
-                f"{table.where(k)}: {joint.column} = {table.columns[joint.column][k]} {joint.unit} "
-                f"{'; '.join(['is more than a turn', *advice])}."
-            )
+        angles[:, n] = np.radians(readings) if joint.unit == "deg" else readings
+        if is_angle(description, names[n]):
+            angles[:, n] = _within_half_a_turn(description, names[n], angles[:, n], table)
     return angles
 
 
-def is_angle(description: Description, name: str) -> bool:
-    """Return whether a reading is the angle of joints, or adds to it: a turn more is then the same.
+def _within_half_a_turn(description: Description, name: str, angles: Array, table: Table) -> Array:
+    """Wrap angles (N,) within a turn, such as 359 degrees; VergenceError beyond a turn."""
+    joint = description.sources[name]
+    beyond = (np.abs(angles) > np.pi) & (np.abs(angles) <= 2 * np.pi)
+    wrapped = angles - np.where(beyond, 2 * np.pi * np.sign(angles), 0.0)
+    for k in np.flatnonzero(np.abs(wrapped) > np.pi).tolist():
+        where = "joints" if name in description.joints else "readings"
+        advice = ""
+        if joint.unit == "rad":
+            advice += f'; if it is in degrees, set {where}.{name}.unit to "deg"'
+        if where == "readings":
+            advice += "; if it is of a motor before a gear, give its factor in kinematics"
+        raise VergenceError(
+            f"{table.where(k)}: {joint.column} = {table.columns[joint.column][k]} {joint.unit} is "
+            f"more than a turn{advice}."
+        )
+    return wrapped
 
-    Not of one with another factor, as of a motor before a gear.
-    """
-    joints = [joint for own in description.head_kinematics.eyes.values() for joint in own]
+
+def is_angle(description: Description, name: str) -> bool:
+    """Tell whether a reading is periodic: it adds to joints' angles without a gear."""
+    joints = [joint for chain in description.head_kinematics.eyes.values() for joint in chain]
     return all(abs(joint.readings.get(name, 1.0)) == 1 for joint in joints)
 
 
 def placements(neck_angles: Array, table: Table) -> np.ndarray:
-    """Return the placements (N,); rows without one get a number of their own."""
+    """Parse the placements (N,); a row without one gets a number of its own."""
     stated = table.whole_numbers(PLACEMENT, 10**9)
     placement = np.where(stated < 0, stated.max() + np.cumsum(stated < 0), stated)
     _, first, group = np.unique(placement, return_index=True, return_inverse=True)
@@ -236,7 +229,7 @@ def placements(neck_angles: Array, table: Table) -> np.ndarray:
 
 
 def measured_eye_poses(description: Description, table: Table) -> Array:
-    """Return T_base_eye (N, 2, 4, 4); the identity for an eye without cameras."""
+    """Parse T_base_eye (N, 2, 4, 4); the identity for an eye without cameras."""
     adapter = TypeAdapter(Transform)
     T = np.tile(np.eye(4), (len(table.lines), len(EYES), 1, 1))
     for eye in description.eyes:

@@ -1,4 +1,4 @@
-"""Writing datasets to disk, completely or not at all. docs/dataset.md describes the format."""
+"""Write datasets, whole or not at all; docs/dataset.md describes the format."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from collections import deque
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from operator import itemgetter
 from pathlib import Path
 
 import cv2
@@ -28,18 +27,17 @@ from vergence.data.description import (
 )
 from vergence.data.table import Table, joint_angles, measured_eye_poses, placements, time_stamps
 from vergence.errors import VergenceError
-from vergence.files import check_new, whole_folder
+from vergence.files import whole_folder
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.neck import NECK_JOINTS
 
 _Cells = dict[str, object]
 """A row of frames.csv by column, without its images."""
-_Line = tuple[int, _Cells]
 
 
 @dataclass(frozen=True, eq=False)
 class DatasetRow:
-    """A frame to be written, and what frames.csv says of it besides."""
+    """A frame to be written, with the other columns of its row in frames.csv."""
 
     frame: Frame
     placement: int | None = None
@@ -61,22 +59,20 @@ def write_dataset(
     """Write a dataset into a temporary folder that is renamed when it is complete.
 
     Images become grey PNG files, a third of the size of colour ones and all that detection uses.
-    They are encoded in worker threads while the next rows are being made.
+    They are encoded in threads while the next rows are made.
 
     Args:
         folder: new or empty.
-        description: of the cameras, the board and the joints.
+        description: cameras, board and joints.
         rows: in order of time; an iterator may make them one by one.
         beside: is called with the temporary folder after the last row, to write other files there.
 
     Raises:
         VergenceError: the folder is not empty, or cannot be written; there are no rows; a row has
-            other cameras, sizes of images or readings than the description, or images that are not
-            uint8 or uint16; or `load_dataset` would refuse a row.
+            other cameras, image sizes, image types or readings than the description; or
+            `load_dataset` would refuse a row.
     """
-    folder = Path(folder)
-    check_new(folder)
-    with whole_folder(folder) as part:
+    with whole_folder(Path(folder)) as part:
         (part / "images").mkdir()
         adapter = TypeAdapter(Description)
         text = adapter.dump_json(description, indent=1, exclude_none=True) + b"\n"
@@ -88,91 +84,38 @@ def write_dataset(
 def _write_frames(folder: Path, description: Description, rows: Iterable[DatasetRow]) -> None:
     workers = os.cpu_count() or 1
     pending: deque[Future[None]] = deque()
+    written: list[_Cells] = []
     with (
         (folder / FRAMES).open("w", encoding="utf-8", newline="") as file,
         ThreadPoolExecutor(workers) as pool,
     ):
         table = csv.DictWriter(file, description.columns, restval="", lineterminator="\n")
         table.writeheader()
-        first = before = None
-        of_placement: dict[str, _Line] = {}  # the first of each
         for number, row in enumerate(rows):
-            if not isinstance(row, DatasetRow):
-                raise VergenceError(f"Row {number} is not a DatasetRow; found {row!r:.80}.")
-            now = number + 2, _cells(description, row)
             _check_images(description, row.frame)
-            first, before = first or now, before or now
-            same = of_placement.setdefault(str(row.placement), now)
-            # What the reader compares a row with: the first, the one before, and its placement's.
-            _check_lines(description, dict(sorted((first, same, before, now), key=itemgetter(0))))
-            before = now
+            written.append(_cells(description, row))
+            _check_rows(description, written, max(0, number - 1))  # so that a recording stops early
             images = {camera: f"images/{number:05d}_{camera}.png" for camera in row.frame.images}
-            table.writerow(now[1] | images)
+            table.writerow(written[-1] | images)
             for camera, image in row.frame.images.items():
                 # A copy, since a driver may write its next image into the same array.
-                own = np.array(image)
-                pending.append(pool.submit(_write_image, folder / images[camera], own))
+                copied = np.array(image)
+                pending.append(pool.submit(_write_image, folder / images[camera], copied))
             while len(pending) > 8 * workers:  # bounds the memory of images that wait
                 pending.popleft().result()
         for each in pending:
             each.result()
-    if before is None:
+    if not written:
         raise VergenceError("A dataset has one row or more; found none.")
+    _check_rows(description, written, 0)
 
 
-def _cells(description: Description, row: DatasetRow) -> _Cells:
-    """Return a row's cells by column, without its images."""
-    frame = row.frame
-    time_s, joint_time_s = _numbers("time stamps", (frame.time_s, frame.joint_time_s)).tolist()
-    cells: _Cells = {
-        TIME: time_s,
-        JOINT_TIME: joint_time_s,
-        PLACEMENT: row.placement,
-        MOVING: int(row.moving),
-    }
-    angles: dict[str, float] = {}
-    for names, found in (
-        (description.head_kinematics.readings, frame.eye_angles),
-        (NECK_JOINTS, frame.neck_angles),
-    ):
-        if np.shape(found) != (len(names),):
-            raise VergenceError(
-                f"The row at {time_s:g} s needs the readings {', '.join(names)}; found an "
-                f"array of shape {np.shape(found)}."
-            )
-        angles |= dict(zip(names, _numbers("readings", found).tolist(), strict=True))
-    for name, joint in description.sources.items():
-        if name not in angles:
-            continue  # it shares its column with another
-        angle = joint.sign * angles[name]
-        cells[joint.column] = float(np.degrees(angle) if joint.unit == "deg" else angle)
-    if description.eye_motion == "poses":
-        if row.T_base_eye is None or np.shape(row.T_base_eye) != (2, 4, 4):
-            found = "none" if row.T_base_eye is None else f"shape {np.shape(row.T_base_eye)}"
-            raise VergenceError(
-                f"The row at {time_s:g} s needs the poses of both eyes, T_base_eye (2, 4, 4);"
-                f" found {found}."
-            )
-        poses = np.asarray(row.T_base_eye)[[EYES.index(eye) for eye in description.eyes]]
-        cells |= dict(zip(description.pose_columns, poses.ravel().tolist(), strict=True))
-    return cells
-
-
-def _numbers(what: str, found: object) -> Array:
-    """Return numbers as an array; VergenceError: there is something else."""
-    try:
-        if None in np.asarray(found, object):
-            raise TypeError
-        return np.array(found, float)
-    except (TypeError, ValueError):
-        raise VergenceError(f"The {what} of a row are numbers; found {found!r:.80}.") from None
-
-
-def _check_lines(description: Description, lines: dict[int, _Cells]) -> None:
-    """Raise the VergenceError with which the reader would refuse lines of frames.csv."""
-    texts = [["" if cell is None else str(cell) for cell in row.values()] for row in lines.values()]
-    columns = dict(zip(next(iter(lines.values())), zip(*texts, strict=True), strict=True))
-    table = Table(Path(FRAMES), tuple(lines), columns)
+def _check_rows(description: Description, rows: list[_Cells], first: int) -> None:
+    """Check rows from the first one as the reader does."""
+    checked = rows[first:]
+    texts = [["" if cell is None else str(cell) for cell in row.values()] for row in checked]
+    columns = dict(zip(checked[0], zip(*texts, strict=True), strict=True))
+    table = Table(Path(FRAMES), tuple(range(first + 2, len(rows) + 2)), columns)
     time_stamps(table)
     joint_angles(description, description.head_kinematics.readings, table)
     placements(joint_angles(description, NECK_JOINTS, table), table)
@@ -180,25 +123,58 @@ def _check_lines(description: Description, lines: dict[int, _Cells]) -> None:
         measured_eye_poses(description, table)
 
 
+def _cells(description: Description, row: DatasetRow) -> _Cells:
+    """Make a row's cells by column, without its images."""
+    frame = row.frame
+    cells: _Cells = {
+        TIME: frame.time_s,
+        JOINT_TIME: frame.joint_time_s,
+        PLACEMENT: row.placement,
+        MOVING: int(row.moving),
+    }
+    names = *description.head_kinematics.readings, *NECK_JOINTS
+    try:
+        readings = np.concatenate([frame.eye_angles, frame.neck_angles], dtype=float)
+    except (TypeError, ValueError):
+        readings = np.zeros(0)
+    if readings.shape != (len(names),):
+        raise VergenceError(
+            f"The row at {frame.time_s} s needs numbers of the readings {', '.join(names)}; found "
+            f"{frame.eye_angles!r:.80} and {frame.neck_angles!r:.80}."
+        )
+    angles = dict(zip(names, readings.tolist(), strict=True))
+    for name, joint in description.sources.items():
+        if name in angles:  # else it shares the column of another
+            angle = joint.sign * angles[name]
+            cells[joint.column] = float(np.degrees(angle)) if joint.unit == "deg" else angle
+    if description.eye_motion == "poses":
+        if np.shape(row.T_base_eye) != (2, 4, 4):
+            raise VergenceError(
+                f"The row at {frame.time_s} s needs the poses of both eyes, T_base_eye (2, 4, 4); "
+                f"found {row.T_base_eye!r:.80}."
+            )
+        poses = np.asarray(row.T_base_eye)[[EYES.index(eye) for eye in description.eyes]]
+        cells |= dict(zip(description.pose_columns, poses.ravel().tolist(), strict=True))
+    return cells
+
+
 def _check_images(description: Description, frame: Frame) -> None:
-    """Raise a VergenceError if images are of another camera, size or type than described."""
-    where = f"The row at {frame.time_s:g} s has"
+    """Raise VergenceError for images of another camera, size or type than described."""
     for name, image in frame.images.items():
+        where = f"The row at {frame.time_s} s has an image of"
         if name not in description.cameras:
             raise VergenceError(
-                f"{where} an image of {name!r}; the cameras described are "
-                f"{', '.join(description.cameras)}."
+                f"{where} {name!r}; the cameras described are {', '.join(description.cameras)}."
             )
-        camera, shape = description.cameras[name], np.shape(image)
-        if getattr(image, "dtype", None) not in (np.uint8, np.uint16):
-            found = getattr(image, "dtype", type(image).__name__)
+        camera, dtype = description.cameras[name], getattr(image, "dtype", type(image).__name__)
+        if dtype not in (np.uint8, np.uint16):
             raise VergenceError(
-                f"{where} an image of {name} of {found}; images are arrays of uint8, or of uint16."
+                f"{where} {name} of {dtype}; images are arrays of uint8, or of uint16."
             )
-        if shape not in ((camera.height, camera.width), (camera.height, camera.width, 3)):
+        if image.shape not in ((camera.height, camera.width), (camera.height, camera.width, 3)):
             raise VergenceError(
-                f"{where} an image of {name} of shape {shape}; {camera.width} x {camera.height} "
-                f"pixels are described, shape ({camera.height}, {camera.width}, 3)."
+                f"{where} {name} of shape {image.shape}; {camera.width} x {camera.height} pixels "
+                f"are described, shape ({camera.height}, {camera.width}, 3)."
             )
 
 
