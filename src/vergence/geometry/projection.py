@@ -129,40 +129,43 @@ def projected(
     no_columns = np.empty((2, 0))
     between = by_mounting = no_columns
     if parameters:
-        by_mounting = -_by_turn_and_shift(by_eye, from_camera)
-        nothing = batch_first(np.zeros((2, 6, *by_base.shape[:-2])), 2)
-        between = _by_turn_and_shift(by_base, turned) if right else nothing
+        by_mounting = _by_pose(by_eye, from_camera)
+        nothing = np.broadcast_to(0.0, (*by_base.shape[:-1], 6))
+        between = by_pose_of_points(by_base, turned) if right else nothing
     return ProjectionJacobians(
         pixels=pixels,
         by_lens=by_lens,
         by_T_eye_cam=by_mounting,
-        by_T_base_eye=-_by_turn_and_shift(by_base, arm),
+        by_T_base_eye=_by_pose(by_base, arm),
         by_T_rbase_lbase=between,
         by_point=product(by_base, T_rbase_lbase[:3, :3]) if right else by_base,
     )
 
 
-def _by_turn_and_shift(by_point: Array, arm: Array) -> Array:
-    """Compute derivatives (..., 2, 6) by a turn of points about an origin, and by their shift.
+def _by_pose(by_point: Array, arm: Array) -> Array:
+    """Compute derivatives (..., 2, 6) by the pose of a frame, of pixels of a point that stays.
 
     Args:
-        by_point: (..., 2, 3) derivatives by the points.
-        arm: (..., 3) the points from the origin, along the same axes.
+        by_point: (..., 2, 3) derivatives by the point, along the axes of the increment.
+        arm: (..., 3) the point from the frame's origin, along the same axes.
     """
     found = batch_first(np.empty((2, 6, *by_point.shape[:-2])), 2)
-    found[..., :3], found[..., 3:] = cross(arm[..., None, :], by_point), by_point
+    found[..., :3] = cross(by_point, arm[..., None, :])
+    np.negative(by_point, out=found[..., 3:])
     return found
 
 
 def by_pose_of_points(by_point: Array, turned: Array) -> Array:
-    """Compute derivatives (M, K, 2, 6) by the pose of a body to which the points are fixed.
+    """Compute derivatives (..., 2, 6) by the pose of a body to which the points are fixed.
 
     Args:
-        by_point: (M, K, 2, 3) derivatives by the points.
-        turned: (M, K, 3) the points from the body's origin, along the axes of the frame that its
+        by_point: (..., 2, 3) derivatives by the points.
+        turned: (..., 3) the points from the body's origin, along the axes of the frame that its
             pose maps into.
     """
-    return _by_turn_and_shift(by_point, turned)
+    found = batch_first(np.empty((2, 6, *by_point.shape[:-2])), 2)
+    found[..., :3], found[..., 3:] = cross(turned[..., None, :], by_point), by_point
+    return found
 
 
 def by_parameters(J: ProjectionJacobians, by_axes: Array) -> Array:

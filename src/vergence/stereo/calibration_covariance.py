@@ -52,14 +52,19 @@ def covariance_of_calibration(seen: Linearised, known: PairCovariance) -> Array:
     """
     batch, n = seen.status.shape, seen.status.size
     left, right = (
-        batch_last(pixels, 2).reshape(2, pixels.shape[-1], n) for pixels in seen.pixels_by_head
+        [batch_last(part, 2).reshape(2, part.shape[-1], n) for part in parts]
+        for parts in seen.pixels_by_head
     )
     own_left, own_right = known.own
     split = len(own_left)
     pixels = np.empty((4, 4, n))
     for start in range(0, n, BLOCK):
-        part = slice(start, start + BLOCK)
-        one, other, into = left[:, own_left, part], right[:, own_right, part], pixels[..., part]
+        block = np.s_[..., start : start + BLOCK]
+        one, other = (
+            np.concatenate([part[block] for part in parts], axis=1)[:, own]
+            for parts, own in ((left, own_left), (right, own_right))
+        )
+        into = pixels[block]
         by_left, by_right = known.by_left @ one, known.by_right @ other
         np.einsum("ipn,jpn->ijn", one, by_left[:, :split], out=into[:2, :2])
         np.einsum("ipn,jpn->ijn", by_left[:, split:], other, out=into[:2, 2:])

@@ -79,9 +79,9 @@ class Linearised:
     """(..., 3, 4) with left u, left v, right u, right v."""
     by_readings: Array
     """(..., 3, r) with the readings, or the increments of both measured poses (r = 12)."""
-    pixels_by_head: tuple[Array, ...]
-    """(..., 2, p) by camera: its pixels by its `parameters.camera_columns`; empty where they are
-    not wanted."""
+    pixels_by_head: tuple[tuple[Array, ...], ...]
+    """By camera parts (..., 2, p) of the derivatives of its pixels by its
+    `parameters.camera_columns`; empty where they are not wanted."""
 
 
 def by_head_parameters(
@@ -90,11 +90,12 @@ def by_head_parameters(
     """Compute how points change (..., 3, P) with the P `pair_parameters`."""
     count = len(pair_parameters(head, cameras))
     total = batch_first(np.zeros((3, count, *seen.status.shape)), 2)
-    for k, (pixels, columns) in enumerate(
+    for k, (parts, columns) in enumerate(
         zip(seen.pixels_by_head, pair_columns(head, cameras), strict=True)
     ):
         # The point makes up for what changes, so that its projection stays where it was seen.
-        total[..., columns] -= product(seen.by_pixels[..., 2 * k : 2 * k + 2], pixels)
+        by_pixels = seen.by_pixels[..., 2 * k : 2 * k + 2]
+        total[..., columns] -= product(by_pixels, joined(*parts))
     return total
 
 
@@ -159,8 +160,9 @@ def linearised_part(
         moves = product(by_pixels[..., 2 * k : 2 * k + 2], by_moves[..., : len(eye.mixing)])
         by_readings.append(eye.by_readings(moves))
         if parameters:
-            parts = J.by_lens, J.by_T_eye_cam, J.by_T_rbase_lbase, eye.by_errors(by_moves)
-            pixels_by_head.append(joined(*parts))
+            pixels_by_head.append(
+                (J.by_lens, J.by_T_eye_cam, J.by_T_rbase_lbase, eye.by_errors(by_moves))
+            )
     left, right = by_readings
     return Linearised(points, status, by_pixels, -(left + right), tuple(pixels_by_head))
 
