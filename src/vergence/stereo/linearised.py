@@ -1,7 +1,4 @@
-"""Located points with their derivatives by all that they depend on.
-
-`uncertainty` makes covariances of them.
-"""
+"""Located points with their derivatives by all that they depend on, and a calibration's share."""
 
 from __future__ import annotations
 
@@ -12,6 +9,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.geometry.batches import (
+    BLOCK,
     batch_first,
     batch_last,
     dot,
@@ -23,44 +21,26 @@ from vergence.geometry.batches import (
     vector,
 )
 from vergence.geometry.eye_motion import eye_motions
-from vergence.geometry.head import HeadCalibration, pair_names
+from vergence.geometry.head import HeadCalibration, stated_covariance, states_covariance
 from vergence.geometry.parameters import camera_columns, parameter_names
 from vergence.geometry.projection import projected
 from vergence.geometry.se3 import cross
-from vergence.stereo.extrinsics import per_pair, stereo_cameras
-from vergence.stereo.measurement_noise import noise_of_part, pixel_variances
-from vergence.stereo.triangulation import Part, checked_arguments, intersect_rays, joints_of_part
+from vergence.stereo.sightings import Sightings
+from vergence.stereo.triangulation import intersect_rays
 
 
-@per_pair
-def pair_parameters(head: HeadCalibration, cameras: tuple[str, str] | None) -> tuple[str, ...]:
+def pair_parameters(head: HeadCalibration, cameras: tuple[str, str]) -> tuple[str, ...]:
     """Return the names of the P parameters that the points of a pair of cameras depend on."""
-    return _of_pair(head, cameras)[0]
-
-
-@per_pair
-def pair_columns(
-    head: HeadCalibration, cameras: tuple[str, str] | None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return where the columns of each camera are among the `pair_parameters`."""
-    return _of_pair(head, cameras)[1]
-
-
-def _of_pair(
-    head: HeadCalibration, cameras: tuple[str, str] | None
-) -> tuple[tuple[str, ...], tuple[np.ndarray, np.ndarray]]:
-    left, right = (tuple(camera_columns(head, name).tolist()) for name in pair_names(head, cameras))
-    return _of_columns(parameter_names(head), left, right)
+    names = parameter_names(head)
+    return tuple(names[k] for k in _of_pair(head, cameras)[0])
 
 
 @lru_cache(maxsize=64)
-def _of_columns(
-    everything: tuple[str, ...], left: tuple[int, ...], right: tuple[int, ...]
-) -> tuple[tuple[str, ...], tuple[np.ndarray, np.ndarray]]:
-    """Return the names of the parameters that either depends on, and where those of each are."""
-    both = sorted({*left, *right})
-    first, second = (np.array([both.index(k) for k in own]) for own in (left, right))
-    return tuple(everything[k] for k in both), (first, second)
+def _of_pair(head: HeadCalibration, cameras: tuple[str, str]) -> tuple[np.ndarray, ...]:
+    """Return which of the parameters either camera depends on, and where those of each are."""
+    columns = [camera_columns(head, name) for name in cameras]
+    both = np.unique(np.concatenate(columns))
+    return both, *(np.searchsorted(both, own) for own in columns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,27 +64,21 @@ class Linearised:
     `parameters.camera_columns`; empty where they are not wanted."""
 
 
-def by_head_parameters(
-    head: HeadCalibration, cameras: tuple[str, str] | None, seen: Linearised
-) -> Array:
+def by_head_parameters(located: Linearised, seen: Sightings) -> Array:
     """Compute how points change (..., 3, P) with the P `pair_parameters`."""
-    count = len(pair_parameters(head, cameras))
-    total = batch_first(np.zeros((3, count, *seen.status.shape)), 2)
-    for k, (parts, columns) in enumerate(
-        zip(seen.pixels_by_head, pair_columns(head, cameras), strict=True)
-    ):
+    both, *columns = _of_pair(seen.head, seen.cameras)
+    total = batch_first(np.zeros((3, len(both), *located.status.shape)), 2)
+    for k, parts in enumerate(located.pixels_by_head):
         # The point makes up for what changes, so that its projection stays where it was seen.
-        by_pixels = seen.by_pixels[..., 2 * k : 2 * k + 2]
-        total[..., columns] -= product(by_pixels, joined(*parts))
+        by_pixels = located.by_pixels[..., 2 * k : 2 * k + 2]
+        total[..., columns[k]] -= product(by_pixels, joined(*parts))
     return total
 
 
-def by_noise(
-    seen: Linearised, noise: tuple[Array, Array], part: Part = slice(None)
-) -> tuple[Array, Array]:
+def by_noise(located: Linearised, seen: Sightings) -> tuple[Array, Array]:
     """Compute changes (..., 3, 4) and (..., 3, r) of points by one standard deviation of each."""
-    of_pixels, of_readings = (noise_of_part(each, part)[..., None, :] for each in noise)
-    return seen.by_pixels * of_pixels, seen.by_readings * of_readings
+    by_pixels = located.by_pixels * seen.pixel_std_px[..., None, :]
+    return by_pixels, located.by_readings * seen.reading_std[..., None, :]
 
 
 def covariances_of(changes: Array) -> Array:
@@ -112,49 +86,24 @@ def covariances_of(changes: Array) -> Array:
     return product(changes, changes.swapaxes(-1, -2))
 
 
-def linearised(
-    head: HeadCalibration,
-    *,
-    left: Array,
-    right: Array,
-    joints: Array,
-    cameras: tuple[str, str] | None = None,
-) -> Linearised:
+@ignoring_invalid
+def linearised(seen: Sightings, *, parameters: bool = True) -> Linearised:
     """Locate points with all their derivatives, for as many points as memory has room for.
 
-    Pixels count equally. Arguments and errors are those of `locate`.
+    `parameters`: whether derivatives by the head's are wanted too.
     """
-    left, right, joints = checked_arguments(left, right, joints, head.kinematics)
-    return linearised_part(head, (left, right), joints, cameras, pixel_variances(1.0, len(left)))
-
-
-@ignoring_invalid
-def linearised_part(
-    head: HeadCalibration,
-    pixels: tuple[Array, Array],
-    joints: Array,
-    cameras: tuple[str, str] | None,
-    variances: Array,
-    *,
-    part: Part = slice(None),
-    parameters: bool = True,
-) -> Linearised:
-    """Locate some of N points; `parameters`: whether derivatives by the head's are wanted too.
-
-    Variances are those of `measurement_noise.pixel_variances`.
-    """
-    pixels, joints = (pixels[0][part], pixels[1][part]), joints_of_part(joints, part)
-    variances = noise_of_part(variances, part)
-    pair, eyes = stereo_cameras(head, cameras), eye_motions(head, joints, errors=parameters)
-    poses = [eye.T_base_eye for eye in eyes]
-    points, status = intersect_rays(pair, head.T_rbase_lbase, poses, pixels, variances)
-    seen = [
-        projected(mounted, head.T_rbase_lbase, T, points, parameters=parameters)
-        for mounted, T in zip(pair, poses, strict=True)
+    head = seen.head
+    eyes = eye_motions(head, seen.joints, errors=parameters)
+    points, status = intersect_rays(seen, [eye.T_base_eye for eye in eyes])
+    views = [
+        projected(
+            head.camera(name), head.T_rbase_lbase, eye.T_base_eye, points, parameters=parameters
+        )
+        for name, eye in zip(seen.cameras, eyes, strict=True)
     ]
-    by_pixels = _by_pixels(seen[0].by_point, seen[1].by_point, variances)
+    by_pixels = _by_pixels(views[0].by_point, views[1].by_point, seen.variances)
     by_readings, pixels_by_head = [], []
-    for k, (eye, J) in enumerate(zip(eyes, seen, strict=True)):
+    for k, (eye, J) in enumerate(zip(eyes, views, strict=True)):
         by_moves = product(J.by_T_base_eye, eye.by_moves)
         # The point makes up for what changes, so that its projection stays where it was seen.
         moves = product(by_pixels[..., 2 * k : 2 * k + 2], by_moves[..., : len(eye.mixing)])
@@ -195,3 +144,76 @@ def _by_pixels(left: Array, right: Array, variances: Array) -> Array:
     shares = miss * variances
     by_miss = times(inverse, shares) / dot(shares, miss)[..., None]
     return inverse - by_miss[..., :, None] * miss[..., None, :]
+
+
+@dataclass(frozen=True, eq=False)
+class PairCovariance:
+    """The part of a head's covariance on which the pixels of two cameras depend."""
+
+    own: tuple[np.ndarray, np.ndarray]
+    """By camera, which p_l and p_r of its `camera_columns` have a stated covariance."""
+    by_left: Array
+    """(p_l + p_r, p_l) covariance of both cameras' with the left one's."""
+    by_right: Array
+    """(p_r, p_r)."""
+
+
+@lru_cache(maxsize=64)
+def pair_covariance(head: HeadCalibration, cameras: tuple[str, str]) -> PairCovariance | None:
+    """Return the covariance that the pixels of a pair depend on; None if none is stated."""
+    if not states_covariance(head):
+        return None
+    names, (_, left, right) = pair_parameters(head, cameras), _of_pair(head, cameras)
+    of_base = np.array([name.startswith("T_rbase_lbase.") for name in names])
+    stated = np.isin(np.arange(len(names)), stated_covariance(head, names)[0])
+    own = np.flatnonzero((stated & ~of_base)[left]), np.flatnonzero(stated[right])
+    _, C = stated_covariance(head, [names[k] for k in (*left[own[0]], *right[own[1]])])
+    n = len(own[0])
+    return PairCovariance(own, np.ascontiguousarray(C[:, :n]), np.ascontiguousarray(C[n:, n:]))
+
+
+def covariance_of_calibration(located: Linearised, known: PairCovariance) -> Array:
+    """Compute what a calibration adds to the covariances (..., 3, 3) of points.
+
+    By way of the covariance of the four pixel coordinates, which takes half the time.
+    """
+    batch, n = located.status.shape, located.status.size
+    left, right = (
+        [batch_last(part, 2).reshape(2, part.shape[-1], n) for part in parts]
+        for parts in located.pixels_by_head
+    )
+    own_left, own_right = known.own
+    split = len(own_left)
+    pixels = np.empty((4, 4, n))
+    for start in range(0, n, BLOCK):
+        block = np.s_[..., start : start + BLOCK]
+        one, other = (
+            np.concatenate([part[block] for part in parts], axis=1)[:, own]
+            for parts, own in ((left, own_left), (right, own_right))
+        )
+        into = pixels[block]
+        by_left, by_right = known.by_left @ one, known.by_right @ other
+        np.einsum("ipn,jpn->ijn", one, by_left[:, :split], out=into[:2, :2])
+        np.einsum("ipn,jpn->ijn", by_left[:, split:], other, out=into[:2, 2:])
+        np.einsum("ipn,jpn->ijn", other, by_right, out=into[2:, 2:])
+    pixels[2:, :2] = pixels[:2, 2:].swapaxes(0, 1)
+    whole = batch_first(pixels.reshape(4, 4, *batch), 2)
+    return product(product(located.by_pixels, whole), located.by_pixels.swapaxes(-1, -2))
+
+
+@lru_cache(maxsize=64)
+def pair_factor(head: HeadCalibration, cameras: tuple[str, str]) -> Array:
+    """Compute F (P, q) with F F^T the calibration's covariance of `pair_parameters`."""
+    names = pair_parameters(head, cameras)
+    stated, C = stated_covariance(head, names)
+    factor = np.zeros((len(names), len(stated)))
+    factor[stated] = covariance_factor(C)
+    return factor
+
+
+def covariance_factor(C: Array) -> Array:
+    """Compute F (n, n) with F F^T = C (n, n), whatever the units of the n numbers."""
+    std = np.sqrt(np.diag(C))
+    unit = np.where(std > 0, std, 1.0)
+    values, vectors = np.linalg.eigh(C / unit / unit[:, None])
+    return std[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))

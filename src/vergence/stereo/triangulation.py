@@ -5,7 +5,7 @@ Equation numbers are the paper's; docs/equations.md says where its printed forms
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from enum import IntEnum
 
 import numpy as np
@@ -13,30 +13,18 @@ from numpy.typing import ArrayLike
 
 from vergence.arrays import Array, floats
 from vergence.errors import VergenceError, counted
-from vergence.geometry.batches import (
-    dot,
-    ignoring_invalid,
-    times,
-    times_transposed,
-)
+from vergence.geometry.batches import dot, ignoring_invalid, times, times_transposed
 from vergence.geometry.camera import Camera, normalise_jacobian
-from vergence.geometry.eye_motion import check_joints, eye_poses
-from vergence.geometry.head import HeadCalibration, MountedCamera, T_head_base
-from vergence.geometry.kinematics import Kinematics, check_radians
+from vergence.geometry.eye_motion import eye_poses
+from vergence.geometry.head import HeadCalibration, T_head_base
+from vergence.geometry.kinematics import check_radians
 from vergence.geometry.neck import T_body_head
 from vergence.geometry.projection import camera_pose
 from vergence.geometry.se3 import checked_points, cross, transform
-from vergence.stereo.extrinsics import stereo_cameras
-from vergence.stereo.measurement_noise import noise_of_part, pixel_variances
+from vergence.stereo.sightings import Sightings, in_chunks, sightings
 
-CHUNK = 4096
-"""Points at a time: their arrays stay in the processor's cache, and memory does not grow."""
 PARALLEL_RAD = 1e-12
 """Angle between two rays up to which they count as parallel: what rounding errors make."""
-
-
-Part = slice | int
-"""Some of many points, or one of them without a batch."""
 
 
 class Status(IntEnum):
@@ -79,45 +67,38 @@ def triangulate_at(
         VergenceError: shapes do not fit, readings are not in radians, poses are not rigid, the
             noise is negative, or the head has no such pair of cameras.
     """
-    left, right, joints = checked_arguments(left, right, joints, head.kinematics)
-    pair, n = stereo_cameras(head, cameras), len(left)
-    variances = pixel_variances(pixel_std_px, n)
-
-    def find(part: Part) -> tuple[Array, np.ndarray]:
-        eyes = np.moveaxis(eye_poses(head, joints_of_part(joints, part)), -3, 0)
-        pixels = left[part], right[part]
-        return intersect_rays(
-            pair, head.T_rbase_lbase, eyes, pixels, noise_of_part(variances, part)
-        )
-
-    points, status = in_chunks(n, find)
+    seen = sightings(
+        head,
+        left=left,
+        right=right,
+        joints=joints,
+        cameras=cameras,
+        pixel_std_px=pixel_std_px,
+        joint_std_rad=0.0,
+    )
+    points, status = in_chunks(seen, triangulated)
     return points, status
 
 
+def triangulated(seen: Sightings) -> tuple[Array, np.ndarray]:
+    """Compute points (..., 3) [m], NaN where the status (...) is not OK."""
+    eyes = eye_poses(seen.head, seen.joints)
+    return intersect_rays(seen, (eyes[..., 0, :, :], eyes[..., 1, :, :]))
+
+
 @ignoring_invalid
-def intersect_rays(
-    pair: tuple[MountedCamera, MountedCamera],
-    T_rbase_lbase: Array,
-    eyes: Sequence[Array],
-    pixels: tuple[Array, Array],
-    variances: Array,
-) -> tuple[Array, np.ndarray]:
+def intersect_rays(seen: Sightings, eyes: Sequence[Array]) -> tuple[Array, np.ndarray]:
     """Compute points (..., 3) in the left eye's base frame, where rays of pixels meet, and status.
 
-    Rays of noisy pixels pass each other; they are first corrected so that they meet.
-
-    Args:
-        pair: a left and a right camera.
-        T_rbase_lbase: (4, 4) of the head.
-        eyes: poses T_base_eye (..., 4, 4) of the left and the right eye.
-        pixels: (..., 2) left and right, distortion included.
-        variances: (..., 4) of the pixels: left u, left v, right u, right v.
+    Rays of noisy pixels pass each other; they are first corrected so that they meet. The eyes are
+    poses T_base_eye (..., 4, 4) of the left and the right one.
     """
+    pair = [seen.head.camera(name) for name in seen.cameras]
     (R_left, centre), (R_right, other) = (
-        camera_pose(mounted, T_rbase_lbase, T) for mounted, T in zip(pair, eyes, strict=True)
+        camera_pose(mounted, seen.head.T_rbase_lbase, T) for mounted, T in zip(pair, eyes, strict=True)
     )
     lenses, base = (pair[0].intrinsics, pair[1].intrinsics), other - centre
-    left, right = _coplanar_rays(lenses, pixels, (R_left, R_right), base, variances)
+    left, right = _coplanar_rays(seen, lenses, (R_left, R_right), base)
     normal = cross(left, right)
     size = dot(normal, normal)
     # base = s left - r right: the cross product with one ray leaves the depth along the other.
@@ -132,11 +113,7 @@ def intersect_rays(
 
 
 def _coplanar_rays(
-    lenses: tuple[Camera, Camera],
-    pixels: tuple[Array, Array],
-    rotations: tuple[Array, Array],
-    base: Array,
-    variances: Array,
+    seen: Sightings, lenses: tuple[Camera, Camera], rotations: tuple[Array, Array], base: Array
 ) -> tuple[Array, Array]:
     """Compute the rays (..., 3) of pixels, corrected so that each pair lies in one plane.
 
@@ -144,12 +121,12 @@ def _coplanar_rays(
     their variances: Sampson's correction, to first order the maximum of the likelihood.
 
     Args:
+        seen: the pixels.
         lenses: of the left and the right camera.
-        pixels: (..., 2) left and right, distortion included.
         rotations: (..., 3, 3) of the cameras, in the frame in which the rays are returned.
         base: (..., 3) from the left to the right camera, in this frame.
-        variances: (..., 4) of the pixels: left u, left v, right u, right v.
     """
+    pixels, variances = (seen.left, seen.right), seen.variances
     found = [normalise_jacobian(lens, uv) for lens, uv in zip(lenses, pixels, strict=True)]
     across = [R[..., :2] for R in rotations]
     left, right = (times(across[k], found[k][0]) + R[..., 2] for k, R in enumerate(rotations))
@@ -163,59 +140,6 @@ def _coplanar_rays(
         steps.append(times(across[k], times(by_pixels, step)))
     factor = (gap / power)[..., None]
     return left - factor * steps[0], right - factor * steps[1]
-
-
-def chunks(n: int) -> Iterator[slice]:
-    """Yield slices of at most CHUNK that together are range(n)."""
-    for start in range(0, n, CHUNK):
-        yield slice(start, min(start + CHUNK, n))
-
-
-def in_chunks(n: int, find: Callable[[Part], tuple[Array, ...]]) -> tuple[Array, ...]:
-    """Compute something of n points, a chunk at a time: arrays whose rows are points.
-
-    A single point is computed without a batch, by numpy's scalars, in a third of the time.
-    """
-    if n == 1:
-        return tuple(each[None] for each in find(0))
-    found = None
-    for part in chunks(n):
-        own = find(part)
-        found = found or tuple(np.empty((n, *each.shape[1:]), each.dtype) for each in own)
-        for into, each in zip(found, own, strict=True):
-            into[part] = each
-    return found or find(slice(0))
-
-
-def joints_of_part(joints: Array, part: Part) -> Array:
-    """Return the readings, or measured poses, of a chunk; those of one posture serve all."""
-    return joints if joints.ndim in (1, 3) else joints[part]
-
-
-def checked_arguments(
-    left: Array, right: Array, joints: Array, kinematics: Kinematics
-) -> tuple[Array, Array, Array]:
-    """Return float arrays; VergenceError if they are not (N, 2), (N, 2) and readings.
-
-    These are angles (r,) or (N, r) in radians, or measured eye poses (2, 4, 4) or (N, 2, 4, 4),
-    which are rigid.
-    """
-    left, right, joints = floats("left", left), floats("right", right), floats("joints", joints)
-    if left.ndim != 2:
-        raise VergenceError(f"Locating points needs left of shape (N, 2), found {left.shape}.")
-    n, r = len(left), len(kinematics.readings)
-    for name, array, shapes in (
-        ("left", left, [(n, 2)]),
-        ("right", right, [(n, 2)]),
-        ("joints", joints, [(n, r), (r,), (n, 2, 4, 4), (2, 4, 4)]),
-    ):
-        if array.shape not in shapes:
-            raise VergenceError(
-                f"Locating {counted(n, 'point')} needs {name} of shape "
-                f"{' or '.join(map(str, shapes))}, found {array.shape}."
-            )
-    check_joints(kinematics, joints)
-    return left, right, joints
 
 
 def in_head(head: HeadCalibration, points_lbase: Array) -> Array:

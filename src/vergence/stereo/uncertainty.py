@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,33 +11,22 @@ from numpy.typing import ArrayLike
 from vergence.arrays import Array, floats, single_blas_thread
 from vergence.data.dataset import MAX_GAP_S
 from vergence.data.timing import Timing, moved_readings
-from vergence.errors import VergenceError
+from vergence.errors import VergenceError, counted
+from vergence.geometry.batches import joined
 from vergence.geometry.eye_motion import check_joints, measured
-from vergence.geometry.head import (
-    HeadCalibration,
-    pair_names,
-    stated_covariance,
-    states_noise,
-)
-from vergence.stereo.calibration_covariance import (
-    covariance_of_calibration,
-    pair_covariance,
-)
+from vergence.geometry.head import HeadCalibration, stated_covariance, states_noise
 from vergence.stereo.linearised import (
     by_head_parameters,
     by_noise,
+    covariance_of_calibration,
     covariances_of,
-    linearised_part,
+    linearised,
+    pair_covariance,
+    pair_factor,
     pair_parameters,
 )
-from vergence.stereo.measurement_noise import (
-    given_or_stated,
-    measurement_noise,
-    noise_of_part,
-    pixel_noise,
-    pixel_variances,
-)
-from vergence.stereo.triangulation import Part, checked_arguments, in_chunks, triangulate_at
+from vergence.stereo.sightings import CHUNK, Sightings, in_chunks, sightings
+from vergence.stereo.triangulation import triangulated
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +59,7 @@ def locate(
     joint_std_rad: ArrayLike | None = None,
     joint_time_s: ArrayLike | None = None,
 ) -> LocatedPoints:
-    """Return where points are that both eyes see, and how well that is known.
+    """Locate points that both eyes see, with their covariances.
 
     Args:
         head: with or without its accuracy.
@@ -97,78 +85,10 @@ def locate(
             negative, time stamps are not those of one motion, the head has no such camera, or left
             and right are exchanged.
     """
-    cameras = pair_names(head, cameras)
     if joint_time_s is not None:
         joints = _at_the_images(head, joints, joint_time_s)
-    left, right, joints = checked_arguments(left, right, joints, head.kinematics)
-    known, n = pair_covariance(head, cameras), len(left)
-    if not states_noise(head) and pixel_std_px is None and joint_std_rad is None:
-        points, status = triangulate_at(
-            head, left=left, right=right, joints=joints, cameras=cameras
-        )
-        return LocatedPoints(points, np.full((n, 3, 3), np.nan), status, np.zeros((n, 3, 3)))
-    pixel_std_px, joint_std_rad = given_or_stated(
-        head, joints, pixel_std_px, joint_std_rad, cameras
-    )
-    noise = measurement_noise(head, joints, n, pixel_std_px, joint_std_rad)
-    given = head, (left, right), joints, cameras, pixel_variances(pixel_std_px, n)
-
-    def find(part: Part) -> tuple[Array, ...]:
-        seen = linearised_part(*given, part=part, parameters=known is not None)
-        by_pixels, by_readings = by_noise(seen, noise, part)
-        covariance = covariances_of(by_pixels) + covariances_of(by_readings)
-        if known is None:
-            return seen.points, covariance, seen.status, np.zeros_like(covariance)
-        shared = covariance_of_calibration(seen, known)
-        return seen.points, covariance + shared, seen.status, shared
-
-    return LocatedPoints(*in_chunks(n, find))
-
-
-def _at_the_images(head: HeadCalibration, joints: ArrayLike, joint_time_s: ArrayLike) -> Array:
-    """Return readings, or poses, at the moments of the images; VergenceError: see `locate`."""
-    joints, joint_time_s = floats("joints", joints), floats("joint_time_s", joint_time_s)
-    shape = (2, 4, 4) if measured(joints) else (len(head.kinematics.readings),)
-    if joint_time_s.ndim != 1 or joints.shape != (len(joint_time_s), *shape):
-        raise VergenceError(
-            f"Readings that have time stamps are one for each: found readings of shape "
-            f"{joints.shape} and time stamps of shape {joint_time_s.shape}."
-        )
-    if unknown := int((~np.isfinite(joint_time_s)).sum()):
-        raise VergenceError(
-            f"Time stamps of readings are finite; found {unknown} of {len(joint_time_s)} NaN or "
-            "infinite; leave their points out."
-        )
-    check_joints(head.kinematics, joints)
-    steps = np.diff(joint_time_s)
-    if (steps < 0).any() or (steps > MAX_GAP_S).any():
-        raise VergenceError(
-            f"Time stamps of a motion increase by at most {MAX_GAP_S} s from reading to reading, "
-            f"found {steps.min():.3g} to {steps.max():.3g} s; locate each motion by itself."
-        )
-    distinct, which = np.unique(joint_time_s, return_inverse=True)  # points of one image
-    first = np.searchsorted(joint_time_s, distinct)
-    timing = Timing(distinct, np.ones(len(distinct), dtype=int))
-    return moved_readings(joints[first], timing, head.time_offset_s)[which]
-
-
-def locate_with_covariance(
-    head: HeadCalibration,
-    *,
-    left: Array,
-    right: Array,
-    joints: Array,
-    pixel_std_px: ArrayLike,
-    joint_std_rad: ArrayLike,
-    cameras: tuple[str, str] | None = None,
-) -> tuple[Array, Array]:
-    """Return points (N, 3) [m] and the covariances (N, 3, 3) [m^2] that measurement noise makes.
-
-    The calibration is taken as exact. NaN where a point cannot be located. Arguments and errors are
-    those of `locate`.
-    """
-    found = locate(
-        _exact(head),
+    seen = sightings(
+        head,
         left=left,
         right=right,
         joints=joints,
@@ -176,13 +96,45 @@ def locate_with_covariance(
         pixel_std_px=pixel_std_px,
         joint_std_rad=joint_std_rad,
     )
-    return found.xyz, found.covariance
+    known, noisy = pair_covariance(head, seen.cameras), states_noise(head)
+    noisy = noisy or pixel_std_px is not None or joint_std_rad is not None
+
+    def find(seen: Sightings) -> tuple[Array, ...]:
+        if not noisy:
+            points, status = triangulated(seen)
+            nothing = np.zeros((*status.shape, 3, 3))
+            return points, nothing * np.nan, status, nothing
+        located = linearised(seen, parameters=known is not None)
+        covariance = covariances_of(joined(*by_noise(located, seen)))
+        if known is None:
+            return located.points, covariance, located.status, np.zeros_like(covariance)
+        shared = covariance_of_calibration(located, known)
+        return located.points, covariance + shared, located.status, shared
+
+    return LocatedPoints(*in_chunks(seen, find))
 
 
-@lru_cache(maxsize=64)
-def _exact(head: HeadCalibration) -> HeadCalibration:
-    """Return a head that states no accuracy."""
-    return replace(head, accuracy=None)
+def _at_the_images(head: HeadCalibration, joints: ArrayLike, joint_time_s: ArrayLike) -> Array:
+    """Move readings, or poses, to the moments of the images; VergenceError: see `locate`."""
+    joints, joint_time_s = floats("joints", joints), floats("joint_time_s", joint_time_s)
+    shape = (2, 4, 4) if measured(joints) else (len(head.kinematics.readings),)
+    if joint_time_s.ndim != 1 or joints.shape != (len(joint_time_s), *shape):
+        raise VergenceError(
+            f"Readings that have time stamps are one for each: found readings of shape "
+            f"{joints.shape} and time stamps of shape {joint_time_s.shape}."
+        )
+    check_joints(head.kinematics, joints)
+    steps = np.diff(joint_time_s)
+    if not (np.isfinite(joint_time_s).all() and (steps >= 0).all() and (steps <= MAX_GAP_S).all()):
+        raise VergenceError(
+            f"Time stamps of a motion are finite and increase by at most {MAX_GAP_S} s from "
+            f"reading to reading, found steps from {steps.min():.3g} to {steps.max():.3g} s; "
+            "locate each motion by itself."
+        )
+    distinct, which = np.unique(joint_time_s, return_inverse=True)  # points of one image
+    first = np.searchsorted(joint_time_s, distinct)
+    timing = Timing(distinct, np.ones(len(distinct), dtype=int))
+    return moved_readings(joints[first], timing, head.time_offset_s)[which]
 
 
 @single_blas_thread()
@@ -192,36 +144,140 @@ def locate_jointly(
     left: Array,
     right: Array,
     joints: Array,
-    parameters: Sequence[str],
-    covariance: Array,
+    estimate: tuple[Sequence[str], Array],
     pixel_std_px: ArrayLike,
     cameras: tuple[str, str] | None = None,
 ) -> LocatedPoints:
-    """Return where points are, if head and readings were estimated together.
+    """Locate points with a head and readings that were estimated together.
 
-    The covariance (P + r, P + r) is of the named parameters of the head, then of the r readings
-    (r,) [rad] of the one posture that serves all points. What the head states of its other
-    parameters counts too, as if it were independent. Other arguments and errors are those of
-    `locate`.
+    The estimate is names of parameters of the head, and the covariance (P + r, P + r) of these and
+    of the r readings (r,) [rad] of the one posture that serves all points. The covariance that the
+    head states of its other parameters is added, as if these were independent. Other arguments and
+    errors are those of `locate`.
     """
-    left, right, joints = checked_arguments(left, right, joints, head.kinematics)
-    n, P, names = len(left), len(parameters), pair_parameters(head, cameras)
-    noise, variances = pixel_noise(pixel_std_px, n), pixel_variances(pixel_std_px, n)
+    seen = sightings(
+        head,
+        left=left,
+        right=right,
+        joints=joints,
+        cameras=cameras,
+        pixel_std_px=pixel_std_px,
+        joint_std_rad=0.0,
+    )
+    parameters, covariance = estimate
+    names, P = pair_parameters(head, seen.cameras), len(parameters)
     mine = [k for k, name in enumerate(parameters) if name in names]
     theirs = [names.index(parameters[k]) for k in mine]
-    others = [k for k in range(len(names)) if k not in theirs]
+    others = np.setdiff1d(np.arange(len(names)), theirs)
     stated, C = stated_covariance(head, [names[k] for k in others])
-    beside = [others[k] for k in stated]
 
-    def find(part: Part) -> tuple[Array, ...]:
-        seen = linearised_part(head, (left, right), joints, cameras, variances, part=part)
-        by_head = by_head_parameters(head, cameras, seen)
-        own, rest = np.zeros((*seen.status.shape, 3, len(covariance))), by_head[..., beside]
-        own[..., mine], own[..., P:] = by_head[..., theirs], seen.by_readings
-        of_rest = rest @ C @ rest.swapaxes(-1, -2)
-        of_head = own[..., :P] @ covariance[:P, :P] @ own[..., :P].swapaxes(-1, -2)
-        whole = covariances_of(seen.by_pixels * noise_of_part(noise, part)[..., None, :])
-        whole += own @ covariance @ own.swapaxes(-1, -2)
-        return seen.points, whole + of_rest, seen.status, of_head + of_rest
+    def find(seen: Sightings) -> tuple[Array, ...]:
+        located = linearised(seen)
+        by_head = by_head_parameters(located, seen)
+        own = np.zeros((*located.status.shape, 3, len(covariance)))
+        own[..., mine], own[..., P:] = by_head[..., theirs], located.by_readings
+        of_pixels, _ = by_noise(located, seen)
+        of_others = _sandwich(by_head[..., others[stated]], C)
+        whole = covariances_of(of_pixels) + _sandwich(own, covariance) + of_others
+        of_head = _sandwich(own[..., :P], covariance[:P, :P])
+        return located.points, whole, located.status, of_head + of_others
 
-    return LocatedPoints(*in_chunks(n, find))
+    return LocatedPoints(*in_chunks(seen, find))
+
+
+def _sandwich(J: Array, C: Array) -> Array:
+    return J @ C @ np.swapaxes(J, -1, -2)
+
+
+@single_blas_thread()
+def combination(
+    head: HeadCalibration,
+    *,
+    weights: Array,
+    left: Array,
+    right: Array,
+    joints: Array,
+    cameras: tuple[str, str] | None = None,
+    pixel_std_px: ArrayLike | None = None,
+    joint_std_rad: ArrayLike | None = None,
+) -> tuple[Array, Array]:
+    """Sum points times weights (N,), to (3,) [m], with the covariance (3, 3) [m^2] of the sum.
+
+    With weights 1/N an average, with 1 and -1 a difference. Errors of pixels are each point's own;
+    those of readings are too, but are shared by all points where one posture serves all; and those
+    of the calibration are always shared. Points that cannot be located must have weight zero, or
+    the result is NaN. Other arguments and errors are those of `locate`; noise that neither the
+    caller nor the calibration states is taken as none. VergenceError also if there are not as many
+    weights as points, or one is not finite.
+    """
+    seen = sightings(
+        head,
+        left=left,
+        right=right,
+        joints=joints,
+        cameras=cameras,
+        pixel_std_px=pixel_std_px,
+        joint_std_rad=joint_std_rad,
+    )
+    n, weights = len(seen.left), floats("weights", weights)
+    if weights.shape != (n,) or not np.isfinite(weights).all():
+        raise VergenceError(
+            f"A combination of {counted(n, 'point')} has a finite weight for each, 0 for points "
+            f"that do not count; found an array of shape {weights.shape}: {weights!r:.80}."
+        )
+    factor = pair_factor(head, seen.cameras)
+    total, covariance = np.zeros(3), np.zeros((3, 3))
+    by_readings, by_head = np.zeros((3, seen.reading_std.shape[-1])), np.zeros((3, len(factor)))
+    counting = np.flatnonzero(weights)
+    for start in range(0, len(counting), CHUNK):
+        part = counting[start : start + CHUNK]
+        some, own = seen.take(part), weights[part][:, None, None]
+        located = linearised(some)
+        by_pixels, by_reading = (each * own for each in by_noise(located, some))
+        total += weights[part] @ located.points
+        covariance += covariances_of(by_pixels).sum(axis=0)
+        if seen.one_posture:
+            by_readings = by_readings + by_reading.sum(axis=0)
+        else:
+            covariance += covariances_of(by_reading).sum(axis=0)
+        by_head = by_head + (by_head_parameters(located, some) * own).sum(axis=0)
+    for shared in (by_readings, by_head @ factor):
+        covariance += shared @ shared.T
+    return total, covariance
+
+
+def locate_both(
+    head: HeadCalibration,
+    *,
+    left: tuple[Array, Array],
+    right: tuple[Array, Array],
+    joints: Array,
+    pixel_std_px: ArrayLike,
+    joint_std_rad: ArrayLike,
+    cameras: tuple[str, str] | None = None,
+) -> tuple[Array, Array, Array]:
+    """Locate two points that are seen together, with the covariance of their difference.
+
+    Both are seen by the same cameras at the same readings, so that an error of the readings is in
+    both, and cancels as far as the two are near each other. The calibration is taken as exact.
+
+    `left` and `right` have the pixels (N, 2) of points a and of points b; other arguments and
+    errors are those of `locate`. Returns points a and b (N, 3) [m], and covariances (N, 3, 3) [m^2]
+    of a - b, in the left eye's base frame; NaN where a point cannot be located.
+    """
+    points, changes = [], []
+    for uv_left, uv_right in zip(left, right, strict=True):
+        seen = sightings(
+            head,
+            left=uv_left,
+            right=uv_right,
+            joints=joints,
+            cameras=cameras,
+            pixel_std_px=pixel_std_px,
+            joint_std_rad=joint_std_rad,
+        )
+        located = linearised(seen, parameters=False)
+        points.append(located.points)
+        changes.append(by_noise(located, seen))
+    (a_px, a_rad), (b_px, b_rad) = changes
+    return *points, covariances_of(a_px) + covariances_of(b_px) + covariances_of(a_rad - b_rad)
