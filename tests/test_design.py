@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
+from closed_form import predicted_depth_std
 from test_design_sweep import SMALL
 from vergence.accuracy.design import (
     VIEWS,
@@ -25,7 +26,6 @@ from vergence.arrays import Array
 from vergence.calibration.bundle_adjustment import bundle_adjust
 from vergence.geometry.board import Chessboard
 from vergence.geometry.projection import project_point
-from vergence.stereo.depth_error import predicted_depth_std
 from vergence.stereo.triangulation import triangulate_at
 from vergence.stereo.uncertainty import locate
 

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from closed_form import predicted_depth_std
 from simulated_head import plain_head, skewed_head
 from test_triangulation import random_samples
 from vergence.accuracy.motions import eye_angles
@@ -20,10 +21,9 @@ from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import boxplus as moved
 from vergence.geometry.se3 import inverse
 from vergence.paper.figures import FIGURES, Figure
-from vergence.stereo.combination import combination, locate_both
-from vergence.stereo.depth_error import depth_error, disparity_error, predicted_depth_std
+from vergence.stereo.depth_error import depth_error, disparity_error
 from vergence.stereo.triangulation import triangulate_at
-from vergence.stereo.uncertainty import locate, locate_jointly
+from vergence.stereo.uncertainty import combination, locate, locate_both, locate_jointly
 
 N = 100_000
 FOCAL_PX = {"2.8mm": 280.0, "4.0mm": 400.0}
@@ -282,7 +282,7 @@ def test_the_part_of_the_calibration_is_that_of_all_its_parameters(estimated):
     _, own = stated_covariance(head, names)
     C = np.zeros((len(names) + 4,) * 2)
     C[: len(names), : len(names)] = own
-    jointly = locate_jointly(head, **seen, parameters=names, covariance=C)
+    jointly = locate_jointly(head, **seen, estimate=(names, C))
     alone = locate(head, **seen, joint_std_rad=0.0)
     scale = np.abs(alone.calibration_covariance).max()
     np.testing.assert_allclose(

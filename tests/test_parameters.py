@@ -11,7 +11,7 @@ from pydantic import TypeAdapter
 from simulated_head import plain_head, skewed_head
 from vergence.arrays import Array
 from vergence.errors import VergenceError
-from vergence.geometry.head import HeadCalibration, T_base_cam
+from vergence.geometry.head import HeadCalibration, T_base_cam, without_accuracy
 from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.parameters import (
     boxminus,
@@ -23,7 +23,7 @@ from vergence.geometry.parameters import (
 )
 from vergence.geometry.projection import project_point
 from vergence.stereo.triangulation import triangulate_at
-from vergence.stereo.uncertainty import locate, locate_with_covariance
+from vergence.stereo.uncertainty import locate
 
 HEAD = plain_head(0.075, 280.0, camera_m=((0.02, 0, 0), (0.02, 0, 0)))
 seeds = st.integers(0, 2**32 - 1)
@@ -162,8 +162,9 @@ def test_a_row_of_the_covariance_moves_points_as_the_covariance_of_points_says()
 def test_noise_and_calibration_add_up_to_what_locate_states():
     head = stated(HEAD, np.random.default_rng(3))
     seen = sight(head)
-    _, by_noise = locate_with_covariance(head, **seen, pixel_std_px=0.1, joint_std_rad=1e-3)
-    whole = by_noise + locate(head, **seen).calibration_covariance
+    exact = without_accuracy(head)
+    by_noise = locate(exact, **seen, pixel_std_px=0.1, joint_std_rad=1e-3)
+    whole = by_noise.covariance + locate(head, **seen).calibration_covariance
     np.testing.assert_allclose(locate(head, **seen).covariance, whole, rtol=1e-12)
     given = locate(head, **seen, pixel_std_px=0.0, joint_std_rad=0.0).covariance
     np.testing.assert_allclose(given, locate(head, **seen).calibration_covariance, rtol=1e-12)

@@ -12,11 +12,10 @@ from vergence.gaze.foveation import gaze_angles
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.neck import Neck
 from vergence.geometry.projection import project_point
-from vergence.stereo.combination import locate_both
 from vergence.stereo.extrinsics import T_rcam_lcam, base_extrinsics, stereo_extrinsics
 from vergence.stereo.rectification import rectify
 from vergence.stereo.triangulation import in_body, in_head, triangulate_at
-from vergence.stereo.uncertainty import locate, locate_with_covariance
+from vergence.stereo.uncertainty import locate, locate_both
 
 
 @pytest.fixture
@@ -37,7 +36,7 @@ def test_a_path_in_place_of_a_head_is_refused():
 @pytest.mark.parametrize(
     "function",
     [
-        *(locate, locate_with_covariance, locate_both),
+        *(locate, locate_both),
         *(triangulate_at, base_extrinsics, stereo_extrinsics),
     ],
 )

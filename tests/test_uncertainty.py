@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike
 
+from closed_form import predicted_depth_std
 from simulated_head import plain_head, skewed_head
 from test_triangulation import random_samples
 from vergence.errors import VergenceError
@@ -19,10 +20,9 @@ from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.kinematics import EYES, Kinematics
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import boxplus, rotation
-from vergence.stereo.combination import combination, locate_both
-from vergence.stereo.depth_error import depth_error, disparity_error, predicted_depth_std
+from vergence.stereo.depth_error import depth_error, disparity_error
 from vergence.stereo.triangulation import triangulate_at
-from vergence.stereo.uncertainty import locate, locate_jointly
+from vergence.stereo.uncertainty import combination, locate, locate_both, locate_jointly
 
 
 def test_depth_error_is_the_slope_of_depth_over_disparity():
@@ -75,21 +75,13 @@ def test_noise_is_a_standard_deviation_for_all_or_for_each_measurement():
     ]
 
 
-def test_a_combination_has_a_weight_for_each_point():
+@pytest.mark.parametrize("weights", [np.ones(2), np.ones((3, 1)), 1.0, [1.0, np.nan, 1.0]])
+def test_a_combination_has_a_finite_weight_for_each_point(weights):
     rng = np.random.default_rng(0)
     head = skewed_head(rng)
     _, eyes, left, right = random_samples(head, rng, 3)
-    for weights in (np.ones(2), np.ones((3, 1)), 1.0):
-        with pytest.raises(VergenceError, match="3 points has a weight for each; found an array"):
-            combination(head, weights=weights, left=left, right=right, joints=eyes)
-
-
-@pytest.mark.parametrize("weight", [np.nan, np.inf])
-def test_weights_of_a_combination_are_finite(weight: float):
-    head = plain_head(0.09, 280.0)
-    pixels = np.array([[320.0, 240.0]])
-    with pytest.raises(VergenceError, match="Weights of a combination are finite"):
-        combination(head, weights=[weight], left=pixels, right=pixels, joints=np.zeros(4))
+    with pytest.raises(VergenceError, match="3 points has a finite weight for each"):
+        combination(head, weights=weights, left=left, right=right, joints=eyes)
 
 
 @pytest.mark.parametrize("noise_px", [0.0, 0.1])
@@ -287,7 +279,7 @@ def test_points_of_a_head_that_was_estimated_with_its_readings_are_weighted_like
     left, noise = left + rng.normal(0, 1, left.shape), [0.1, 0.1, 3.0, 3.0]
     seen: dict[str, Any] = {"left": left, "right": right, "joints": eyes[0], "pixel_std_px": noise}
     alone = locate(head, **seen, joint_std_rad=1e-3)
-    jointly = locate_jointly(head, **seen, parameters=(), covariance=1e-6 * np.eye(4))
+    jointly = locate_jointly(head, **seen, estimate=((), 1e-6 * np.eye(4)))
     np.testing.assert_allclose(jointly.xyz, alone.xyz)
     np.testing.assert_allclose(jointly.covariance, alone.covariance)
 

@@ -39,7 +39,6 @@ if TYPE_CHECKING:  # type checkers read these imports, and `_MODULES` is made of
     from vergence.geometry.projection import project_point as project_point
     from vergence.interchange.formats import export_head as export_head
     from vergence.interchange.formats import import_head as import_head
-    from vergence.stereo.combination import combination as combination
     from vergence.stereo.dense_depth import DenseDepth as DenseDepth
     from vergence.stereo.dense_depth import dense_depth as dense_depth
     from vergence.stereo.dense_depth import point_cloud as point_cloud
@@ -51,6 +50,7 @@ if TYPE_CHECKING:  # type checkers read these imports, and `_MODULES` is made of
     from vergence.stereo.triangulation import in_body as in_body
     from vergence.stereo.triangulation import in_head as in_head
     from vergence.stereo.uncertainty import LocatedPoints as LocatedPoints
+    from vergence.stereo.uncertainty import combination as combination
     from vergence.stereo.uncertainty import locate as locate
 
 _MODULES = {

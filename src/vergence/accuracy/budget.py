@@ -18,9 +18,15 @@ from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, pair_names, stated_covariance, states_covariance
 from vergence.geometry.parameters import is_gain, named_columns
 from vergence.geometry.projection import project_point
-from vergence.stereo.calibration_covariance import covariance_factor
-from vergence.stereo.linearised import Linearised, by_head_parameters, linearised, pair_parameters
-from vergence.stereo.measurement_noise import noise_of_readings, pixel_noise
+from vergence.stereo.linearised import (
+    Linearised,
+    by_head_parameters,
+    by_noise,
+    covariance_factor,
+    linearised,
+    pair_parameters,
+)
+from vergence.stereo.sightings import Sightings, sightings
 
 TIME_OFFSET = "time_offset_s"
 CALIBRATION = "the calibration"
@@ -116,11 +122,11 @@ def _budget(
     cameras: tuple[str, str] | None,
 ) -> Budget:
     seen, kept = _samples(head, point, joints, cameras)
-    names = (*pair_parameters(head, cameras), TIME_OFFSET)
-    by_time = seen.by_readings @ rates[kept][..., None]
-    by_head = np.concatenate([by_head_parameters(head, cameras, seen), by_time], axis=2)
+    located, names = linearised(seen), (*pair_parameters(head, seen.cameras), TIME_OFFSET)
+    by_time = located.by_readings @ rates[kept][..., None]
+    by_head = np.concatenate([by_head_parameters(located, seen), by_time], axis=2)
     by_head = np.moveaxis(by_head, 0, -1)
-    white = {each.name: _white(seen, each) for each in sources if not each.errors}
+    white = {each.name: _white(located, seen, each) for each in sources if not each.errors}
     known: dict[str, Array] = {}
     for each in sources:
         if each.errors:
@@ -156,8 +162,8 @@ def _budget(
 
 def _samples(
     head: HeadCalibration, point: Array, joints: Array, cameras: tuple[str, str] | None
-) -> tuple[Linearised, np.ndarray]:
-    """Locate the point in the samples (t,) of the motion that show it to both cameras."""
+) -> tuple[Sightings, np.ndarray]:
+    """Project the point in the samples (t,) of the motion that show it to both cameras."""
     pair = pair_names(head, cameras)
     pixels = [project_point(head, name, joints, point) for name in pair]
     sizes = [np.array(head.camera(name).intrinsics.size) for name in pair]
@@ -170,15 +176,24 @@ def _samples(
             "samples. Points are in metres from the left eye, x forward, y left, z up."
         )
     left, right = (uv[kept] for uv in pixels)
-    return linearised(head, left=left, right=right, joints=joints[kept], cameras=cameras), kept
+    seen = sightings(
+        head, left=left, right=right, joints=joints[kept], cameras=pair, pixel_std_px=1.0
+    )
+    return seen, kept
 
 
-def _white(seen: Linearised, source: Source) -> Array:
+def _white(located: Linearised, seen: Sightings, source: Source) -> Array:
     """Compute the variance (3,) [m^2] by white noise, in the mean over the motion."""
-    n, _, r = seen.by_readings.shape
-    readings = seen.by_readings * noise_of_readings(source.joint_std_rad, r, n)[:, None]
-    pixels = seen.by_pixels * pixel_noise(source.pixel_std_px, n)[:, None]
-    return (readings**2).sum(axis=2).mean(axis=0) + (pixels**2).sum(axis=2).mean(axis=0)
+    noisy = sightings(
+        seen.head,
+        left=seen.left,
+        right=seen.right,
+        joints=seen.joints,
+        cameras=seen.cameras,
+        pixel_std_px=source.pixel_std_px,
+        joint_std_rad=source.joint_std_rad,
+    )
+    return sum((change**2).sum(axis=2).mean(axis=0) for change in by_noise(located, noisy))
 
 
 def _by_group(head: HeadCalibration, names: tuple[str, ...], by_head: Array) -> dict[str, Array]:

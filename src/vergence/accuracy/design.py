@@ -37,6 +37,7 @@ from vergence.geometry.parameters import named_columns, parameter_names
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import pose, rotation
 from vergence.stereo.linearised import linearised
+from vergence.stereo.sightings import sightings
 
 STRAIGHT, GAZES = 8, 16
 """Views of the standard recording: boards at straight gaze, and gazes to a board at rest."""
@@ -138,7 +139,9 @@ def sensitivity(
         joint_std_rad: (J,) levels of the noise of readings in the calibration.
     """
     left, right = (project_point(head, name, joints, points) for name in WIDE)
-    seen = linearised(head, left=left, right=right, joints=joints, cameras=WIDE)
+    seen = linearised(
+        sightings(head, left=left, right=right, joints=joints, cameras=WIDE, pixel_std_px=1.0)
+    )
     by_readings = seen.by_readings
     fixed = fixed_by_default(head, timed=False)
     names = tuple(name for name in parameter_names(head) if name not in fixed)

@@ -20,6 +20,7 @@ from vergence.geometry.parameters import named_columns, parameter_names
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
 from vergence.stereo.linearised import by_head_parameters, linearised, pair_parameters
+from vergence.stereo.sightings import sightings
 
 ASIDE_RAD, ABOVE_RAD = 0.25, 0.2
 """Directions of the points to the side and upwards, from the middle of the head [rad]: those of
@@ -80,10 +81,10 @@ def point_by_parameters(
     The pixels of the points (N, 3) [m] and the readings (N, r) [rad] stay what they are.
     """
     left, right = (project_point(head, name, joints, points) for name in pair)
-    located = linearised(head, left=left, right=right, joints=joints, cameras=pair)
+    seen = sightings(head, left=left, right=right, joints=joints, cameras=pair, pixel_std_px=1.0)
     rows = np.zeros((len(points), 3, len(parameter_names(head))))
     columns = named_columns(head, pair_parameters(head, pair))
-    rows[..., columns] = by_head_parameters(head, pair, located)
+    rows[..., columns] = by_head_parameters(linearised(seen), seen)
     return rows
 
 

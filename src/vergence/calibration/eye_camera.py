@@ -29,7 +29,7 @@ from vergence.geometry.kinematics import Kinematics, T_base_eye, check_turns, pa
 from vergence.geometry.parameter_names import POSE, intrinsics_names
 from vergence.geometry.parameters import change_named, parameter_names
 from vergence.geometry.se3 import boxminus, check_rigid, known_poses
-from vergence.stereo.calibration_covariance import covariance_factor
+from vergence.stereo.linearised import covariance_factor
 from vergence.vision.board_pose import board_poses
 
 _NAME = "camera"

@@ -1,7 +1,7 @@
 """A moving point, fused over time: a Kalman filter of position, velocity and acceleration.
 
 All quantities are in one fixed frame, and each measurement brings its own covariance (see
-`uncertainty.locate_with_covariance`), which in stereo is long along the line of sight. Between
+`uncertainty.locate`), which in stereo is long along the line of sight. Between
 measurements the acceleration changes by white noise in the jerk.
 
 A stated covariance describes the total error of a measurement. The part that differs from frame to

@@ -15,13 +15,13 @@ from vergence.gaze.commands import EYE_READINGS, HOLD_S, NECK, setpoints_at
 from vergence.gaze.kalman import InnovationRatio, Track, begin, fuse, predict, update_ratio
 from vergence.gaze.state import GazeSettings, GazeState
 from vergence.geometry.camera import Camera, check_image_fits, unproject
-from vergence.geometry.head import T_base_cam, T_body_base
+from vergence.geometry.head import T_base_cam, T_body_base, without_accuracy
 from vergence.geometry.kinematics import EYES, Side, checked_readings
 from vergence.geometry.neck import checked_neck_angles
 from vergence.geometry.se3 import inverse, transform
 from vergence.self_calibration.calibrator import update_geometry
 from vergence.self_calibration.frame import locate_in_frame
-from vergence.stereo.uncertainty import locate_with_covariance
+from vergence.stereo.uncertainty import locate
 from vergence.vision.detector import Detection, Detector
 
 Rays = Mapping[Side, tuple[Array, Array]]
@@ -293,8 +293,8 @@ def _locate(
         return None, None
     readings = postures[:, EYE_READINGS]
     joint_stds = [[settings.joint_std_rad], [settings.command_std_rad]]
-    points, covariances = locate_with_covariance(
-        settings.calibration,
+    located = locate(
+        without_accuracy(settings.calibration),
         left=np.tile(left[1].pixel, (2, 1)),
         right=np.tile(right[1].pixel, (2, 1)),
         joints=readings,
@@ -302,11 +302,11 @@ def _locate(
         joint_std_rad=np.repeat(joint_stds, readings.shape[1], axis=1),
         cameras=(left[0], right[0]),
     )
-    if not np.isfinite(covariances).all():
+    if not np.isfinite(located.covariance).all():
         return None, None
     T = T_body_base(settings.calibration, "left", postures)
     R = T[:, :3, :3]
-    points, covariances = transform(T, points), R @ covariances @ np.swapaxes(R, 1, 2)
+    points, covariances = transform(T, located.xyz), R @ located.covariance @ np.swapaxes(R, 1, 2)
     return (points[0], covariances[0]), (points[1], covariances[1])
 
 

@@ -31,7 +31,7 @@ from vergence.gaze.state import GazePhase, GazeSettings, GazeState, initial_gaze
 from vergence.geometry.head import T_body_base
 from vergence.geometry.se3 import transform
 from vergence.self_calibration.calibrator import VisualGeometry
-from vergence.stereo.combination import locate_both
+from vergence.stereo.uncertainty import locate_both
 from vergence.vision.detector import Detection, Detector
 from vergence.vision.sphere import sphere_detector
 

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Sequence
-from dataclasses import field
+from dataclasses import field, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Literal
 
@@ -105,6 +106,12 @@ def states_noise(head: HeadCalibration) -> bool:
         return False
     of_pixels = accuracy.pixel_std_px is not None or bool(accuracy.camera_std_px)
     return of_pixels or bool(accuracy.joint_std) or states_covariance(head)
+
+
+@lru_cache(maxsize=64)
+def without_accuracy(head: HeadCalibration) -> HeadCalibration:
+    """Return a head whose calibration is taken as exact."""
+    return replace(head, accuracy=None)
 
 
 def check_states_covariance(head: HeadCalibration) -> None:

@@ -272,8 +272,7 @@ def locate_in_frame(
         left=left,
         right=right,
         joints=estimate.joints,
-        parameters=estimate.names,
-        covariance=estimate.covariance,
+        estimate=(estimate.names, estimate.covariance),
         pixel_std_px=pixel_std_px,
         cameras=cameras or estimate.cameras,
     )

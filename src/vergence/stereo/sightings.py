@@ -133,9 +133,7 @@ def _deviations(name: str, std: ArrayLike, n: int, count: int) -> Array:
     return stds if stds.ndim else stds.repeat(count)
 
 
-def in_chunks(
-    seen: Sightings, find: Callable[[Sightings], tuple[Array, ...]]
-) -> tuple[Array, ...]:
+def in_chunks(seen: Sightings, find: Callable[[Sightings], tuple[Array, ...]]) -> tuple[Array, ...]:
     """Compute something of points, a chunk at a time: arrays whose rows are points.
 
     A single point is computed without a batch, by numpy's scalars: in a control step this takes

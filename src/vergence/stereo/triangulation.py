@@ -95,7 +95,8 @@ def intersect_rays(seen: Sightings, eyes: Sequence[Array]) -> tuple[Array, np.nd
     """
     pair = [seen.head.camera(name) for name in seen.cameras]
     (R_left, centre), (R_right, other) = (
-        camera_pose(mounted, seen.head.T_rbase_lbase, T) for mounted, T in zip(pair, eyes, strict=True)
+        camera_pose(mounted, seen.head.T_rbase_lbase, T)
+        for mounted, T in zip(pair, eyes, strict=True)
     )
     lenses, base = (pair[0].intrinsics, pair[1].intrinsics), other - centre
     left, right = _coplanar_rays(seen, lenses, (R_left, R_right), base)

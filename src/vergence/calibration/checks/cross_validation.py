@@ -22,9 +22,9 @@ from vergence.geometry.kinematics import EYES
 from vergence.geometry.parameters import boxminus
 from vergence.geometry.projection import project_at
 from vergence.geometry.se3 import inverse, transform
-from vergence.stereo.combination import combination
 from vergence.stereo.extrinsics import T_rcam_lcam
 from vergence.stereo.triangulation import triangulate_at
+from vergence.stereo.uncertainty import combination
 from vergence.vision.board_pose import LEAST_CORNERS, board_poses, seen_corners
 
 FOLDS = 5
