@@ -134,7 +134,7 @@ def test_measured_poses_rectify_as_the_angles_that_they_come_from():
 
 @pytest.mark.parametrize("joints", [(1.2, 0.0, -1.2, 0.0), (0.0, 1.1, 0.0, -1.1)])
 def test_views_that_do_not_overlap_are_refused(joints):
-    with pytest.raises(VergenceError, match="do not overlap"):
+    with pytest.raises(VergenceError, match="would show 0% of what both images show"):
         rectify(head("radial-tangential"), np.array(joints))
 
 

@@ -12,7 +12,7 @@ from vergence.gaze.foveation import gaze_angles
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.neck import Neck
 from vergence.geometry.projection import project_point
-from vergence.stereo.extrinsics import T_rcam_lcam, base_extrinsics, stereo_extrinsics
+from vergence.stereo.extrinsics import T_rcam_lcam, base_extrinsics
 from vergence.stereo.rectification import rectify
 from vergence.stereo.triangulation import in_body, in_head, triangulate_at
 from vergence.stereo.uncertainty import locate, locate_both
@@ -37,7 +37,7 @@ def test_a_path_in_place_of_a_head_is_refused():
     "function",
     [
         *(locate, locate_both),
-        *(triangulate_at, base_extrinsics, stereo_extrinsics),
+        *(triangulate_at, base_extrinsics),
     ],
 )
 def test_arguments_that_could_be_exchanged_must_be_named(function):

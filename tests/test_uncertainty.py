@@ -107,12 +107,12 @@ def test_an_offset_in_time_costs_moving_eyes_nothing_once_it_is_calibrated(noise
     without = rms(eyes(t + 0.04))
     assert rms(eyes(t), joint_time_s=t) < 1.1 * without + 1e-5
     assert rms(eyes(t)) > 5e-3
-    with pytest.raises(VergenceError, match="Time stamps of a motion increase"):
+    with pytest.raises(VergenceError, match="increase by at most"):
         rms(eyes(t), joint_time_s=10 * t)
     with pytest.raises(VergenceError, match="one for each"):
         rms(eyes(t), joint_time_s=t[:5])
 
-    with pytest.raises(VergenceError, match="1 of 90"):
+    with pytest.raises(VergenceError, match="Time stamps of a motion are finite"):
         rms(eyes(t), joint_time_s=np.where(np.arange(90) == 7, np.nan, t))
     as_list = rms(eyes(t).tolist(), joint_time_s=t.tolist())
     assert as_list == rms(eyes(t), joint_time_s=t)
@@ -342,5 +342,5 @@ def test_points_of_one_image_have_its_time_stamp_each():
 def test_time_stamps_that_go_back_are_refused():
     head, t = plain_head(0.075, 280.0), np.array([0.0, 0.1, 0.05])
     seen = np.full((3, 2), 200.0)
-    with pytest.raises(VergenceError, match="Time stamps of a motion increase by at most"):
+    with pytest.raises(VergenceError, match="increase by at most"):
         locate(head, left=seen, right=seen, joints=np.zeros((3, 4)), joint_time_s=t)

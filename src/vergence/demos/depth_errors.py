@@ -12,7 +12,7 @@ from vergence.geometry.camera import project, unproject
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.se3 import transform
 from vergence.stereo.dense_depth import DenseDepth
-from vergence.stereo.extrinsics import stereo_cameras, stereo_poses
+from vergence.stereo.extrinsics import T_rcam_lcam, stereo_cameras
 from vergence.stereo.rectification import RectifiedPair, rectified_pixels, rectified_points
 
 RANGE_M = (0.5, 1.5)
@@ -76,8 +76,8 @@ def _row_rms(pair: RectifiedPair, truth: DepthTruth) -> float:
     v, u = np.mgrid[: left.height : _GRID_PX, : left.width : _GRID_PX]
     pixels = np.stack([u, v], axis=-1).reshape(-1, 2).astype(float)
     points = unproject(left, pixels) * truth.depth_m[v, u].reshape(-1, 1)
-    _, T_rcam_lcam = stereo_poses(truth.head, truth.eye_angles)
-    opposite = project(right, transform(T_rcam_lcam, points))
+    T = T_rcam_lcam(truth.head, truth.eye_angles)
+    opposite = project(right, transform(T, points))
     inside = ((opposite >= 0) & (opposite <= [right.width - 1, right.height - 1])).all(axis=-1)
     rows = [
         rectified_pixels(pair, view, at[inside])[:, 1]

@@ -16,7 +16,7 @@ from vergence.geometry.kinematics import straight_gaze
 from vergence.paper.comparison import PAPER
 from vergence.paper.replay import Replay, summaries
 from vergence.stereo.depth_error import depth_error, disparity_error
-from vergence.stereo.extrinsics import stereo_poses
+from vergence.stereo.extrinsics import camera_poses
 from vergence.twin.looking_around import LOOK_S
 from vergence.twin.profile import ErrorProfile
 from vergence.twin.sensors import read
@@ -50,9 +50,9 @@ def _depth_std_from_joints(result: Replay, profile: ErrorProfile, head: HeadCali
     sensed = eye_angles(result.figure.motion, times - joints.delay_ms * 1e-3)
     error = read(sensed, joints, np.random.default_rng(0)) - eye_angles(result.figure.motion, times)
     orientation_std = float((error[:, 0] - error[:, 2]).std())
-    T_lbase_lcam, T_rcam_lcam = stereo_poses(head, straight_gaze(head.kinematics), cameras=WIDE)
-    baseline = float(np.linalg.norm(T_rcam_lcam[:3, 3]))
-    depth = result.figure.mean_m[0] - T_lbase_lcam[0, 3]
+    left, right = camera_poses(head, straight_gaze(head.kinematics), cameras=WIDE)[:, :3, 3]
+    baseline = float(np.linalg.norm(right - left))
+    depth = result.figure.mean_m[0] - left[0]
     focal = head.camera("left_wide").intrinsics.matrix[0, 0]
     return float(depth_error(depth, baseline, focal, disparity_error(focal, orientation_std)))
 

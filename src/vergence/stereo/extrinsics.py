@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from functools import lru_cache, wraps
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,10 +13,6 @@ from vergence.geometry.head import HeadCalibration, MountedCamera, pair_names
 from vergence.geometry.kinematics import T_base_eye
 from vergence.geometry.projection import T_lbase_cam
 from vergence.geometry.se3 import inverse
-
-Pair = tuple[str, str] | None
-"""Names of a camera of the left eye and one of the right; None: the main ones."""
-Found = TypeVar("Found")
 
 
 def base_extrinsics(
@@ -38,35 +31,6 @@ def base_extrinsics(
     return T_rbase_reye @ T_reye_rcam @ T_rcam_lcam @ inverse(T_lbase_leye @ T_leye_lcam)
 
 
-def stereo_extrinsics(
-    *,
-    T_rbase_reye: Array,
-    T_reye_rcam: Array,
-    T_rbase_lbase: Array,
-    T_leye_lcam: Array,
-    T_lbase_leye: Array,
-) -> Array:
-    """Eq. 11: T_rcam_lcam (..., 4, 4) at the present eye poses; the inverse of Eq. 10."""
-    return inverse(T_rbase_reye @ T_reye_rcam) @ T_rbase_lbase @ T_lbase_leye @ T_leye_lcam
-
-
-def per_pair(
-    find: Callable[[HeadCalibration, Pair], Found],
-) -> Callable[[HeadCalibration, Pair], Found]:
-    """Return a function of a head and a pair of cameras that caches what it found.
-
-    The names of the cameras may come as a list, which a cache cannot take as a key.
-    """
-    remembered = lru_cache(maxsize=64)(find)
-
-    @wraps(find)
-    def found(head: HeadCalibration, cameras: Pair) -> Found:
-        return remembered(head, tuple(cameras) if isinstance(cameras, list) else cameras)
-
-    return found
-
-
-@per_pair
 def stereo_cameras(
     head: HeadCalibration, cameras: tuple[str, str] | None
 ) -> tuple[MountedCamera, MountedCamera]:
@@ -78,7 +42,7 @@ def stereo_cameras(
 def T_rcam_lcam(
     head: HeadCalibration, joints: ArrayLike, *, cameras: tuple[str, str] | None = None
 ) -> Array:
-    """Return Eq. 11 (..., 4, 4) at joint readings (..., r) [rad], or eye poses (..., 2, 4, 4).
+    """Compute Eq. 11 (..., 4, 4) at joint readings (..., r) [rad], or eye poses (..., 2, 4, 4).
 
     Args:
         head: with a camera in each eye.
@@ -91,34 +55,15 @@ def T_rcam_lcam(
             rigid.
     """
     joints = floats("joints", joints)
-    T = stereo_poses(head, joints, cameras=cameras)[1]
+    left, right = np.moveaxis(camera_poses(head, joints, cameras=cameras), -3, 0)
     check_joints(head.kinematics, joints)
-    return T
-
-
-def stereo_poses(
-    head: HeadCalibration, joints: Array, *, cameras: tuple[str, str] | None = None
-) -> tuple[Array, Array]:
-    """Return T_lbase_lcam (..., 4, 4) and T_rcam_lcam (..., 4, 4).
-
-    Arguments and errors are those of `T_rcam_lcam`.
-    """
-    left, right = stereo_cameras(head, cameras)
-    T_lbase_leye, T_rbase_reye = np.moveaxis(eye_poses(head, joints), -3, 0)
-    T = stereo_extrinsics(
-        T_rbase_reye=T_rbase_reye,
-        T_reye_rcam=right.T_eye_cam,
-        T_rbase_lbase=head.T_rbase_lbase,
-        T_leye_lcam=left.T_eye_cam,
-        T_lbase_leye=T_lbase_leye,
-    )
-    return T_lbase_leye @ left.T_eye_cam, T
+    return inverse(right) @ left
 
 
 def camera_poses(
     head: HeadCalibration, joints: Array, *, cameras: tuple[str, str] | None = None
 ) -> Array:
-    """Return T_lbase_cam (..., 2, 4, 4) of a camera of the left eye and one of the right.
+    """Compute T_lbase_cam (..., 2, 4, 4) of a camera of the left eye and one of the right.
 
     Arguments and errors are those of `T_rcam_lcam`.
     """

@@ -27,17 +27,15 @@ from vergence.geometry.eye_motion import check_joints
 from vergence.geometry.head import HeadCalibration, pair_names
 from vergence.geometry.kinematics import checked_readings
 from vergence.geometry.se3 import inverse, pose, transform
-from vergence.stereo.extrinsics import stereo_cameras, stereo_poses
+from vergence.stereo.extrinsics import camera_poses, stereo_cameras
 from vergence.stereo.rectified_map import pixels_of_rays, rectified_map
 
 FOCAL_SHARE = 0.85
 """Focal length of the rectified cameras, relative to the mean of the real ones: eyes that diverge
 need a wider view."""
-LEAST_OVERLAP = 0.05
-"""Share of the rows in which the views must overlap."""
 LEAST_SHOWN = 0.1
 """Least share that a pair must show of the points that both images show. With an epipole in the
-images, the pair's plane is nearly along the rays, and hardly any of them reach it."""
+images, the plane of the pair is nearly along the rays."""
 _GRID = 24
 """Rays along each axis of the image, and distances in baselines, for the share that is shown."""
 _DISTANCES = np.array([4.0, 16.0, 64.0, 1024.0])
@@ -102,7 +100,7 @@ def rectify(
     size: tuple[int, int] | None = None,
     focal_px: float | None = None,
 ) -> RectifiedPair:
-    """Return how to rectify the images of two cameras at one posture of the eyes.
+    """Compute how to rectify the images of two cameras at one posture of the eyes.
 
     Args:
         head: with a camera in each eye.
@@ -114,8 +112,8 @@ def rectify(
 
     Raises:
         VergenceError: the head has no such pair, the joints are not known ones of one posture, size
-            or focal length are not positive, or the two views do not overlap or would show hardly
-            anything of what both images do.
+            or focal length are not positive, or the pair would show less than LEAST_SHOWN of what
+            both images do.
     """
     left, right = stereo_cameras(head, cameras)
     at = _known_posture(head, joints)
@@ -126,7 +124,8 @@ def rectify(
             "size is a width and a height in whole pixels, such as (640, 480), at most "
             f"{MAX_IMAGE_PX} each and {MAX_IMAGE_AREA_PX:,} together; found {size!r:.80}."
         )
-    T_lbase_lcam, T_rcam_lcam = stereo_poses(head, at, cameras=cameras)
+    T_lbase_lcam, T_lbase_rcam = camera_poses(head, at, cameras=cameras)
+    T_rcam_lcam = inverse(T_lbase_rcam) @ T_lbase_lcam
     R_lcam_rcam, baseline = T_rcam_lcam[:3, :3].T, inverse(T_rcam_lcam)[:3, 3]
     axes = np.array([[0, 0, 1], R_lcam_rcam[:, 2]])  # of both cameras, in the left one
     R_rect_lcam = _orientation(baseline, axes.mean(axis=0))
@@ -138,22 +137,16 @@ def rectify(
     size = own_size if size is None else size
     looks = axes @ R_rect_lcam.T
     if (looks[:, 2] <= 0).any():
-        raise _apart(cameras)
+        raise _nothing_in_common(cameras, 0.0)
     matrix = _matrix(looks, focal_px or own_px, size)
     views = [
         RectifiedView(lens, R, *rectified_map(lens, R, matrix, size))
         for lens, R in zip(lenses, (R_rect_lcam, R_rect_lcam @ R_lcam_rcam), strict=True)
     ]
-    if _overlap(*views) < LEAST_OVERLAP:
-        raise _apart(cameras)
     whole = _matrix(looks, own_px, own_size)
     shown = _share_shown(views, T_rcam_lcam, whole, own_size)
     if shown < LEAST_SHOWN:
-        raise VergenceError(
-            f"A rectified pair would show {shown:.0%} of what both images show at this posture, in "
-            "which an eye looks along the line from one camera to the other; rectify where both "
-            "look across it."
-        )
+        raise _nothing_in_common(cameras, shown)
     return RectifiedPair(
         head=head,
         joints=at,
@@ -176,9 +169,9 @@ def _matrix(looks: Array, focal_px: float, size: tuple[int, int]) -> Array:
 def _share_shown(
     views: Sequence[RectifiedView], T_rcam_lcam: Array, matrix: Array, size: tuple[int, int]
 ) -> float:
-    """Return the share of the points that both images show of which both rectified ones do too.
+    """Compute which share of the points that both images show is in both rectified ones too.
 
-    Of points on the rays of a grid of the left image's pixels; 1 where there are none.
+    The points are on the rays of a grid of the left image's pixels; 0 if no image shows both.
     """
     left, right = (view.camera for view in views)
     u, v = (np.linspace(0, n - 1, _GRID) for n in left.size)
@@ -190,7 +183,7 @@ def _share_shown(
     shown = both.copy()
     for view, pixels in zip(views, (here, there), strict=True):
         shown &= _within(_rectified(view, matrix, pixels), size)
-    return float(shown.sum() / both.sum()) if both.any() else 1.0
+    return float(shown.sum() / max(both.sum(), 1))
 
 
 def _within(pixels: Array, size: tuple[int, int]) -> np.ndarray:
@@ -221,19 +214,11 @@ def _orientation(baseline: Array, forward: Array) -> Array:
     return np.stack([x, y, np.cross(x, y)])
 
 
-def _overlap(left: RectifiedView, right: RectifiedView) -> float:
-    """Return the share of the rows in which a point at some distance is seen by both."""
-    columns = np.arange(left.map_x.shape[1])
-    last = np.where(left.seen, columns, -1).max(axis=1)
-    first = np.where(right.seen, columns, len(columns)).min(axis=1)
-    return float((last > first).mean())
-
-
-def _apart(cameras: tuple[str, str] | None) -> VergenceError:
+def _nothing_in_common(cameras: tuple[str, str] | None, shown: float) -> VergenceError:
     names = "the two cameras" if cameras is None else " and ".join(cameras)
     return VergenceError(
-        f"The views of {names} do not overlap at this posture; rectify where both eyes look the "
-        "same way."
+        f"A rectified pair of {names} would show {shown:.0%} of what both images show at this "
+        "posture; rectify where both eyes look the same way, across the line between the cameras."
     )
 
 

@@ -128,8 +128,7 @@ def _at_the_images(head: HeadCalibration, joints: ArrayLike, joint_time_s: Array
     if not (np.isfinite(joint_time_s).all() and (steps >= 0).all() and (steps <= MAX_GAP_S).all()):
         raise VergenceError(
             f"Time stamps of a motion are finite and increase by at most {MAX_GAP_S} s from "
-            f"reading to reading, found steps from {steps.min():.3g} to {steps.max():.3g} s; "
-            "locate each motion by itself."
+            f"reading to reading; locate each motion by itself. Found {joint_time_s!r:.80}."
         )
     distinct, which = np.unique(joint_time_s, return_inverse=True)  # points of one image
     first = np.searchsorted(joint_time_s, distinct)
