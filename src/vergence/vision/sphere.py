@@ -5,10 +5,6 @@ optical axis they differ by a fraction of the sphere's size. The detector measur
 centroid of the ellipse in the plane z = 1, with each pixel weighted by the part of it that the
 sphere covers (`sphere_coverage`). They determine the cone of rays that touch the sphere, and the
 axis of the cone passes through the sphere's centre.
-
-Undistorting every pixel is slow. Rays are computed at Chebyshev points of the sphere's window and
-interpolated between them; for sums over pixels, the points are weighted by the coverage around
-them.
 """
 
 from __future__ import annotations
@@ -18,11 +14,10 @@ from typing import Literal
 
 import cv2
 import numpy as np
-from numpy.polynomial.chebyshev import chebpts2, chebvander
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
-from vergence.geometry.camera import Camera, normalise, pixel_area, project
+from vergence.geometry.camera import Camera, pixel_area, project, unproject
 from vergence.vision.detector import Detection, Detector, windows
 from vergence.vision.sphere_coverage import CONTRAST, EDGE_PX, coverage, edge_width_px, misfit
 
@@ -45,9 +40,6 @@ _LARGEST_MISFIT_PX = 0.1
 spheres, shaded or blurred, and 0.3 where 15 % of the diameter are hidden (tests/test_sphere.py)."""
 _ERROR_PER_MISFIT = 5.0
 """Error of an occluded sphere's centre over its misfit; at most 5 in tests/test_sphere.py."""
-_POINTS = np.asarray(chebpts2(16), dtype=float)
-"""Chebyshev points along a side of the window: 1e-10 px in windows of 120 px of a wide lens."""
-_COEFFICIENTS = np.linalg.inv(chebvander(_POINTS, len(_POINTS) - 1))
 
 
 def sphere_detector(colour: Literal["red", "blue"] = "red", *, std_px: float = STD_PX) -> Detector:
@@ -140,23 +132,24 @@ def _centre(
     nowhere = np.full(2, np.nan), 0.0
     size = max(columns.stop - columns.start, rows.stop - rows.start)
     block = 1 if size <= _LARGEST_WINDOW else 2  # pixels of the image to a pixel of the window
-    u, by_u = _interpolation(columns.start, columns.stop, block)
-    v, by_v = _interpolation(rows.start, rows.stop, block)
-    xy = normalise(camera, np.stack(np.broadcast_arrays(u, v[:, None]), axis=-1))
-    if not np.isfinite(xy).all():
+    height, width = ((side.stop - side.start) // block for side in (rows, columns))
+    v, u = (
+        side.start + block * index + (block - 1) / 2
+        for side, index in zip((rows, columns), np.indices((height, width)), strict=True)
+    )
+    rays = unproject(camera, np.stack([u, v], axis=-1))
+    if not np.isfinite(rays).all():
         return nowhere
-    areas = block**2 * pixel_area(camera, xy)
+    areas = block**2 * pixel_area(camera, rays[..., :2])
 
     def cone(cover: Array) -> tuple[Array, float]:
-        weights = (by_v.T @ cover @ by_u) * areas
+        weights = cover * areas
         area = float(weights.sum())
-        return _cone(weights.ravel() @ xy.reshape(-1, 2) / area, area)
+        return _cone(np.einsum("ij,ijk->k", weights, rays[..., :2]) / area, area)
 
-    rays = np.stack([by_v @ each @ by_u.T for each in (xy[..., 0], xy[..., 1])], axis=-1)
-    rays = np.concatenate([rays, np.ones((*rays.shape[:2], 1))], axis=-1)
-    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
-    pixels = image[rows, columns, planes][: block * len(by_v), : block * len(by_u)]
-    window = cv2.resize(pixels, (len(by_u), len(by_v)), interpolation=cv2.INTER_AREA)
+    unit = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+    pixels = image[rows, columns, planes][: block * height, : block * width]
+    window = cv2.resize(pixels, (width, height), interpolation=cv2.INTER_AREA)
     window = window.astype(np.float32)
     contrast = window @ CONTRAST
     coloured = contrast > _THRESHOLD
@@ -164,12 +157,12 @@ def _centre(
         return nowhere
     usual = float(np.median(contrast[coloured]))
     cover = (contrast > 0.5 * usual).astype(float)
-    blur_px, outline = EDGE_PX, _outline(rays, *cone(cover))
+    blur_px, outline = EDGE_PX, _outline(unit, *cone(cover))
     for _ in range(_ROUNDS):
         cover = coverage(window, *outline, blur_px)
         if cover.sum() < 1:
             return nowhere
-        blur_px, outline = edge_width_px(cover), _outline(rays, *cone(cover))
+        blur_px, outline = edge_width_px(cover), _outline(unit, *cone(cover))
     misfit_px = block * misfit(window, *outline, blur_px, usual)
     return project(camera, cone(cover)[0]), misfit_px
 
@@ -188,17 +181,6 @@ def _outline(rays: Array, axis: Array, sine: float) -> tuple[Array, np.ndarray]:
     towards = np.sqrt(np.maximum(1 - (distance / sine) ** 2, 0)) + along * across
     across, towards = (each.astype(np.float32)[..., None] for each in (across, towards))
     return outward, rays.astype(np.float32) * across - axis.astype(np.float32) * towards
-
-
-def _interpolation(begin: int, end: int, block: int) -> tuple[Array, Array]:
-    """Return Chebyshev points (K,) of pixels from begin to end, and interpolation weights (N, K).
-
-    The weights give the values in the middles of the N whole blocks from those at the points.
-    """
-    middle, half = (begin + end - 1) / 2, (end - 1 - begin) / 2
-    pixels = begin + block * np.arange((end - begin) // block) + (block - 1) / 2
-    powers = chebvander((pixels - middle) / half, len(_POINTS) - 1)
-    return middle + half * _POINTS, powers @ _COEFFICIENTS
 
 
 def _cone(centroid: Array, area: float) -> tuple[Array, float]:
