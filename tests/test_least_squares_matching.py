@@ -104,12 +104,6 @@ def test_noise_alone_does_not_pass_for_texture():
     assert (matched.good & (std < 0.5)).mean() < 0.1
 
 
-def test_windows_beyond_the_image_are_not_good():
-    left, right = views(np.zeros(2), 0.0, np.random.default_rng(0))
-    beyond = match(left, right, AT - [AT[:, 0].max() + 5, 0])
-    assert not beyond.good.any()
-
-
 def test_windows_that_the_right_image_shows_in_part_are_not_good():
     """Those in its last column, which lie half beyond its edge."""
     left, right = views(np.zeros(2), 0.0, np.random.default_rng(0))
@@ -119,16 +113,6 @@ def test_windows_that_the_right_image_shows_in_part_are_not_good():
     partly = AT[:, 0] + SHIFT[0] + beside_px + 7 > SIZE[1] - 1
     assert 0 < partly.sum() < len(AT)
     np.testing.assert_array_equal(matched.good, ~partly)
-
-
-def test_windows_that_lie_beyond_the_right_view_in_part_are_not_good():
-    """Of that view the map says where it lies in the image, and beyond it nothing."""
-    v, u = (each.astype(float) for each in np.indices(SIZE))
-    left, right = (np.round(texture(u - shift, v)) for shift in (0, 25))
-    matched = match(left, right, AT + np.array([25, 0]))
-    beyond = AT[:, 0] + 25 + 7 > SIZE[1] - 1
-    assert 0 < beyond.sum() < len(AT)
-    np.testing.assert_array_equal(matched.good, ~beyond)
 
 
 @pytest.mark.parametrize(("beside_px", "good"), [(0.8, True), (1.5, False), (2.5, False)])
