@@ -1,7 +1,6 @@
 """Dense depth while the twin's eyes move, and its error.
 
-The truth, which only the twin knows, is used for the errors, and to refuse a calibration of another
-head.
+The truth is used for the errors, and to refuse a calibration of another head.
 """
 
 from __future__ import annotations
@@ -13,8 +12,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from vergence.accuracy.motions import eye_angles
-from vergence.arrays import Array
-from vergence.demos.depth_errors import DepthTruth, depth_errors, summed
+from vergence.demos.depth_errors import DepthTruth, PairErrors, depth_errors, pooled
 from vergence.demos.experiment import LOOKING
 from vergence.gaze.commands import EYE_READINGS
 from vergence.geometry.head import HeadCalibration, pair_names
@@ -36,11 +34,7 @@ from vergence.twin.scene.room import Scene
 from vergence.twin.simulated_robot import calibrate_twin
 
 STEP_S = 9.0
-"""Time between two pairs of the divergent motion: no divisor of its periods."""
-
-
-Errors = dict[str, list[tuple[Array, Array, float]]]
-"""What `depth_errors` returns for each pair, by geometry."""
+"""Time between two pairs of the divergent motion [s]: no divisor of its periods."""
 
 
 @contextmanager
@@ -54,7 +48,7 @@ def twin_depth(
     geometry: Geometry,
     progress: Progress,
 ) -> Iterator[DepthSequence]:
-    """Give a `with` block the dense depth of pairs over the divergent motion of a twin.
+    """Compute dense depth over the divergent motion of a twin, in a `with` block.
 
     Args:
         calibration: of the head; None: the twin is calibrated first, by the paper's method.
@@ -68,70 +62,56 @@ def twin_depth(
     Raises:
         VergenceError: the calibration is of another head.
     """
-    with _twin(profile, scene, seed, calibration, progress) as (twin, head, joint_std):
-        moments = _moments(twin, pairs, head if geometry == "seen" else None)
-        errors: Errors = defaultdict(list)
-        found = _compared(moments, head, joint_std, errors)
+    with Twin(profile, seed=seed, scene=scene) as twin:
+        joint_std_rad = None
+        if calibration is None:
+            settings = calibrate_twin(twin, seed, progress)
+            calibration, joint_std_rad = settings.calibration, settings.joint_std_rad
+        else:
+            check_calibration_of(twin.truth, calibration)
+        errors: dict[str, list[PairErrors]] = defaultdict(list)
+        found = _pairs(twin, calibration, pairs, geometry, joint_std_rad, errors)
         yield DepthSequence(
-            head, found, pairs, errors=lambda: {name: summed(each) for name, each in errors.items()}
+            calibration,
+            found,
+            pairs,
+            errors=lambda: {name: pooled(each) for name, each in errors.items()},
         )
 
 
-@contextmanager
-def _twin(
-    profile: ErrorProfile,
-    scene: Scene,
-    seed: int,
-    given: HeadCalibration | None,
-    progress: Progress,
-) -> Iterator[tuple[Twin, HeadCalibration, float | None]]:
-    with Twin(profile, seed=seed, scene=scene) as twin:
-        if given is not None:
-            check_calibration_of(twin.truth, given)
-            yield twin, given, None
-        else:
-            settings = calibrate_twin(twin, seed, progress)
-            yield twin, settings.calibration, settings.joint_std_rad
-
-
-def _moments(
-    twin: Twin, pairs: int, looks: HeadCalibration | None
-) -> Iterator[tuple[StereoImages, DepthTruth]]:
-    """Yield pairs; where a head is given, with the geometry that it sees."""
+def _pairs(
+    twin: Twin,
+    head: HeadCalibration,
+    pairs: int,
+    geometry: Geometry,
+    joint_std_rad: float | None,
+    errors: dict[str, list[PairErrors]],
+) -> Iterator[tuple[StereoImages, PairDepth]]:
+    """Yield pairs with their depths, and append their errors by geometry."""
     left, right = pair_names(twin.truth)
-    geometry = None
-    if looks is not None:
-        geometry = learn_by_looking(twin, initial_visual_geometry(looks), run=LOOKING)
+    visual = None
+    if geometry == "seen":
+        visual = learn_by_looking(twin, initial_visual_geometry(head), run=LOOKING)
     twin.restart(1)
     for k in range(pairs):
         posture = straight_neck(eye_angles("divergent", np.array(STEP_S * k)))
         twin.advance(twin.time_s + 0.5, posture)
         angles = twin.true_angles()[EYE_READINGS]
         frame = twin.capture((left, right))
-        geometry = None if geometry is None else update_geometry(geometry, frame)
-        moment = StereoImages(
+        visual = None if visual is None else update_geometry(visual, frame)
+        images = StereoImages(
             time_s=STEP_S * k,
             joints=frame.eye_angles,
             left=frame.images[left],
             right=frame.images[right],
-            seen=None if geometry is None else geometry.latest,
+            seen=None if visual is None else visual.latest,
         )
-        yield moment, DepthTruth(twin.truth, angles, twin.true_depth(left))
-
-
-def _compared(
-    moments: Iterator[tuple[StereoImages, DepthTruth]],
-    head: HeadCalibration,
-    joint_std_rad: float | None,
-    errors: Errors,
-) -> Iterator[tuple[StereoImages, PairDepth]]:
-    """Yield pairs with their depths, whose errors are added by geometry, as in Summary."""
-    for moment, truth in moments:
-        found = depth_by(moment, head, moment.joints, joint_std_rad=joint_std_rad)
+        truth = DepthTruth(twin.truth, angles, twin.true_depth(left))
+        found = depth_by(images, head, images.joints, joint_std_rad=joint_std_rad)
         errors["joints"].append(depth_errors(*found, truth))
-        true = depth_by(moment, truth.head, truth.eye_angles)
+        true = depth_by(images, truth.head, truth.eye_angles)
         errors["true_geometry"].append(depth_errors(*true, truth))
-        if moment.seen is not None:
-            found = depth_of(moment, head)
+        if images.seen is not None:
+            found = depth_of(images, head)
             errors["seen"].append(depth_errors(*found, truth))
-        yield moment, found
+        yield images, found

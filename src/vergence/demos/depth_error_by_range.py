@@ -1,7 +1,7 @@
-"""Depth errors of the eyes by range, beside the standard deviations that Eq. 20 predicts.
+"""Depth errors of the eyes by range, compared with the standard deviations of Eq. 20.
 
-Random errors are separated from systematic ones by differences between successive frames: errors
-of the calibration, or of a joint's gain, change little from one frame to the next.
+Differences between successive frames separate random errors from systematic ones: errors of the
+calibration, or of a joint's gain, change little from frame to frame.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from vergence.twin.head import Twin
 from vergence.twin.simulated_robot import true_pixels
 
 EDGES_M = (0.35, 0.45, 0.6, 0.8, 1.0, 1.4)
-"""Ends of the intervals of distance, from where the hand closes to where objects come into view."""
+"""Intervals of distance [m], from where the hand closes to where objects come into view."""
 _FEWEST = 10
-"""Samples of an interval, below which it has no statistics."""
+"""Minimum number of samples of an interval."""
 
 
 @dataclass(frozen=True)
 class DepthSample:
-    """The errors of one frame in which both narrow cameras see the object."""
+    """Errors of one frame in which both narrow cameras see the object."""
 
     time_s: float
     """Time of the frame."""
@@ -50,7 +50,7 @@ class DepthSample:
 
 @dataclass(frozen=True)
 class RangeBin:
-    """The errors within an interval of distances."""
+    """Errors within an interval of distances."""
 
     from_m: float
     to_m: float
@@ -67,40 +67,38 @@ class RangeBin:
 def depth_sample(
     twin: Twin, settings: GazeSettings, state: GazeState, frame: Frame
 ) -> DepthSample | None:
-    """Return the errors of a frame; None where it gave no estimate by both narrow cameras.
+    """Compare the state after a frame of the twin's present time with the truth.
 
-    The frame must be taken at the twin's present time. The state is that after the frame.
+    None without an estimate by both narrow cameras.
     """
-    pixels = state.pixels
-    found = np.array([pixels.get(name, np.full(2, np.nan)) for name in settings.narrow])
-    if state.measured is None or state.frame_s != frame.time_s or not np.isfinite(found).all():
+    found = [state.detections.get(name) for name in settings.narrow]
+    left, right = found
+    if state.measured is None or state.frame_s != frame.time_s or left is None or right is None:
         return None
-    calibration, truth = settings.calibration, twin.true_object()
-    T_lbase_body = inverse(T_body_base(calibration, "left", frame.neck_angles))
-    middle = inverse(T_head_base(twin.truth, "left"))[:3, 3]
+    truth, middle = twin.true_object(), inverse(T_head_base(twin.truth, "left"))[:3, 3]
     away = truth - middle
     distance = float(np.linalg.norm(away))
+    T_lbase_body = inverse(T_body_base(settings.calibration, "left", frame.neck_angles))
     error = transform(T_lbase_body, state.measured) - truth
-    pixel_errors = found - true_pixels(twin, settings)
+    left_px, right_px = np.array([left.pixel, right.pixel]) - true_pixels(twin, settings)
     reading_errors = frame.eye_angles - twin.true_angles()[EYE_READINGS]
     return DepthSample(
         time_s=frame.time_s,
         distance_m=distance,
         depth_error_m=float(error @ away) / distance,
-        pixel_error_px=float(pixel_errors[0, 0] - pixel_errors[1, 0]),
+        pixel_error_px=float(left_px[0] - right_px[0]),
         vergence_error_rad=float(reading_errors[0] - reading_errors[2]),
         baseline_m=float(2 * np.linalg.norm(middle)),
-        focal_px=float(calibration.camera(settings.narrow[0]).intrinsics.matrix[0, 0]),
+        focal_px=float(settings.calibration.camera(settings.narrow[0]).intrinsics.matrix[0, 0]),
     )
 
 
 def bin_by_range(runs: Sequence[Sequence[DepthSample]]) -> tuple[RangeBin, ...]:
-    """Return the errors by distance, for the intervals that have enough frames.
+    """Compute the errors by distance, for the intervals with enough frames.
 
-    The samples of a run are in the order of their times; differences are taken within a run only.
+    The samples of a run are in the order of their times; differences are taken within a run.
     """
-    pairs = [(a, b) for run in runs for a, b in pairwise(run)]
-    pairs = [(a, b) for a, b in pairs if b.time_s - a.time_s < 0.1]
+    pairs = [(a, b) for run in runs for a, b in pairwise(run) if b.time_s - a.time_s < 0.1]
     if len(pairs) < _FEWEST:
         return ()
     samples = [sample for run in runs for sample in run]
@@ -113,17 +111,10 @@ def bin_by_range(runs: Sequence[Sequence[DepthSample]]) -> tuple[RangeBin, ...]:
         if len(steps) < _FEWEST:
             continue
         z, b, f = np.array([(s.distance_m, s.baseline_m, s.focal_px) for s in here]).T
-        by_eq20 = depth_error(z, b, f, np.hypot(pixel_std, disparity_error(f, vergence_std)))
-        found.append(
-            RangeBin(
-                from_m=low,
-                to_m=high,
-                frames=len(here),
-                depth_rms_mm=1e3 * _rms([sample.depth_error_m for sample in here]),
-                depth_std_mm=1e3 * _std(steps),
-                eq20_mm=1e3 * _rms(by_eq20),
-            )
-        )
+        eq20_m = depth_error(z, b, f, np.hypot(pixel_std, disparity_error(f, vergence_std)))
+        rms_m = _rms([sample.depth_error_m for sample in here])
+        millimetres = 1e3 * np.array([rms_m, _std(steps), _rms(eq20_m)])
+        found.append(RangeBin(low, high, len(here), *millimetres.tolist()))
     return tuple(found)
 
 
@@ -132,5 +123,5 @@ def _rms(values: Sequence[float] | Array) -> float:
 
 
 def _std(steps: Sequence[float]) -> float:
-    """Return the standard deviation of independent errors from their frame-to-frame steps."""
+    """Compute the standard deviation of independent errors from their steps."""
     return _rms(steps) / float(np.sqrt(2))

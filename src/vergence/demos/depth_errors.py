@@ -1,4 +1,4 @@
-"""Errors of dense depth and of a rectified pair's rows, by the truth that only the twin knows."""
+"""Errors of dense depth and of the rows of a rectified pair, from the truth of the twin."""
 
 from __future__ import annotations
 
@@ -16,28 +16,32 @@ from vergence.stereo.extrinsics import T_rcam_lcam, stereo_cameras
 from vergence.stereo.rectification import RectifiedPair, rectified_pixels, rectified_points
 
 RANGE_M = (0.5, 1.5)
-"""Distances at which accuracy is stated."""
-_GRID_PX = 16  # between the points whose rows are compared
-_WRONG = 0.2  # relative error of depth beyond which a pixel counts as wrong, not as inexact
+"""Distances at which accuracy is stated [m]."""
+_GRID_PX = 16
+"""Distance between the points whose rows are compared [px]."""
+_WRONG = 0.2
+"""Relative error of depth above which a pixel is a mismatch."""
+PairErrors = tuple[Array, Array, float]
+"""Errors of one pair: see `depth_errors`."""
 
 
 @dataclass(frozen=True)
 class DepthErrors:
-    """Errors of depth at RANGE_M where there is texture, over all pairs."""
+    """Errors of depth at RANGE_M in textured pixels, over all pairs."""
 
     median_relative: float
     wrong: float
-    """Share of the pixels that are wrong by more than a fifth."""
+    """Share of the pixels with an error above a fifth."""
     within_two_std: float
     """Share of the others whose error is within two standard deviations."""
     pixels: int
     vertical_rms_px: float
-    """Difference of the rows of a point in the two rectified images."""
+    """Difference of a point's rows in the two rectified images."""
 
 
 @dataclass(frozen=True, eq=False)
 class DepthTruth:
-    """What the twin knows of a pair: the head, its angles and the depth of every pixel."""
+    """The truth of a pair: the head, its angles and the depth of each pixel."""
 
     head: HeadCalibration
     eye_angles: Array
@@ -46,12 +50,10 @@ class DepthTruth:
     """(H, W) along the optical axis of the left camera."""
 
 
-def depth_errors(
-    pair: RectifiedPair, found: DenseDepth, truth: DepthTruth
-) -> tuple[Array, Array, float]:
-    """Return relative errors (N,), the same over the stated std (N,), and the rows' error [px].
+def depth_errors(pair: RectifiedPair, found: DenseDepth, truth: DepthTruth) -> PairErrors:
+    """Compute errors over the depth (N,), over the stated std (N,), and of the rows [px].
 
-    Compared is the depth along the left camera's axis, at the pixel of its own image.
+    The depth is that along the left camera's axis, at the pixel of its own image.
     """
     view = pair.left
     size = found.depth_m.shape[::-1]
@@ -71,7 +73,7 @@ def depth_errors(
 
 
 def _row_rms(pair: RectifiedPair, truth: DepthTruth) -> float:
-    """Return the root mean square [px] of the difference of a true point's rows in the pair."""
+    """Compute the root mean square difference of a true point's rows in the pair [px]."""
     left, right = (mounted.intrinsics for mounted in stereo_cameras(truth.head, None))
     v, u = np.mgrid[: left.height : _GRID_PX, : left.width : _GRID_PX]
     pixels = np.stack([u, v], axis=-1).reshape(-1, 2).astype(float)
@@ -86,8 +88,8 @@ def _row_rms(pair: RectifiedPair, truth: DepthTruth) -> float:
     return float(np.sqrt(np.nanmean((rows[0] - rows[1]) ** 2)))
 
 
-def summed(found: list[tuple[Array, Array, float]]) -> DepthErrors:
-    """Return the statistics of what `depth_errors` found of one pair or more."""
+def pooled(found: list[PairErrors]) -> DepthErrors:
+    """Compute the statistics of the errors of all pairs."""
     relative, standardised = (np.concatenate([each[k] for each in found]) for k in (0, 1))
     wrong = np.abs(relative) > _WRONG
     within = np.abs(standardised[~wrong]) < 2

@@ -1,4 +1,4 @@
-"""What the demos share: their settings, a calibrated twin, and the file of the summary."""
+"""Settings and calibrated twin that the demos have in common."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ class Experiment:
     scene: Scene = "room"
     """What the head looks at."""
     geometry: Geometry = "joints"
-    """By what objects are located. If it is "seen", the head looks around first, and keeps what it
-    learns from trial to trial."""
+    """How objects are located. With "seen" the head looks around first, and keeps what it learns
+    from trial to trial."""
     out: Path | None = None
     """Folder for the summary as JSON, and for a recording; None: nothing is written."""
 
@@ -49,14 +49,8 @@ class Experiment:
         check_seed(self.seed)
 
 
-def check_trials(trials: int) -> None:
-    """Raise a VergenceError unless a number of trials can be made."""
-    if not 1 <= trials <= 10_000:
-        raise VergenceError(f"Asked for {trials} trials; from 1 to 10000 can be made.")
-
-
 def p95(values: Sequence[float] | Array) -> float:
-    """Return the 95 % quantile of values, one of them."""
+    """Select the 95 % quantile among values."""
     return float(np.quantile(values, 0.95, method="higher"))
 
 
@@ -64,7 +58,7 @@ def p95(values: Sequence[float] | Array) -> float:
 def calibrated_twin(
     experiment: Experiment, progress: Progress
 ) -> Iterator[tuple[Twin, GazeSettings]]:
-    """Give a `with` block a calibrated twin, and the settings of its gaze controller.
+    """Calibrate a twin for a `with` block, and make the settings of its gaze controller.
 
     The folder of results is marked as unfinished from before the calibration until the block ends.
     """
@@ -77,12 +71,18 @@ def calibrated_twin(
 
 
 def initial_geometry(twin: Twin, settings: GazeSettings) -> VisualGeometry | None:
-    """Return the geometry with which a demo begins; None: the gaze goes by the joints."""
+    """Let the twin look around if its geometry is seen; None: it is that of the joints."""
     if settings.geometry == "joints":
         return None
     left, right = settings.wide
     geometry = initial_visual_geometry(settings.calibration, cameras=(left, right))
     return learn_by_looking(twin, geometry, run=LOOKING)
+
+
+def check_trials(trials: int) -> None:
+    """Raise VergenceError unless a number of trials can be made."""
+    if not 1 <= trials <= 10_000:
+        raise VergenceError(f"Asked for {trials} trials; from 1 to 10000 can be made.")
 
 
 def write_summary(out: Path | None, name: str, summary: DataclassInstance) -> None:

@@ -1,8 +1,8 @@
 """Foveate objects that appear: turn the eyes until both narrow images are centred (Sec. III).
 
-The twin is calibrated by the paper's method. In each trial the eyes begin straight ahead, an object
-appears, and the controller of `vergence.gaze` turns the eyes to it, from frames alone. The truth is
-used only to measure the error that remains.
+The twin is calibrated by the paper's method. In each trial the eyes start straight ahead, an object
+appears, and the gaze controller turns the eyes to it, from frames alone. The truth is used to
+measure the remaining error only.
 """
 
 from __future__ import annotations
@@ -35,18 +35,19 @@ from vergence.twin.simulated_robot import FRAME_S, SimulatedHead, foveal_errors,
 from vergence.viewer.plots.foveation import save_foveation
 
 WITHIN_S = 0.5
-"""Length of a trial."""
+"""Length of a trial [s]: a saccade takes 60 ms."""
 DIRECTION_RAD = float(np.radians(20))
-"""Greatest pan and tilt of an object."""
+"""Maximum pan and tilt of an object [rad]: within the eyes' ranges."""
 DEPTH_M = (0.3, 1.5)
+"""Range of depths of an object [m]."""
 OBJECT_M = 0.02
-"""Radius of an object."""
+"""Radius of an object [m]."""
 SETTLED_PX = 8.0
-"""Error below which both eyes must stay until the end to count as settled."""
+"""Error below which both eyes must stay until the end to be settled [px]."""
 PLAYBACK = 0.25
-"""Recorded seconds a second: a saccade takes 60 ms."""
+"""Speed of the recording's playback."""
 RECORDED = 10
-"""Number of trials that are recorded: more would only make the file larger."""
+"""Number of trials that are recorded, to keep the file small."""
 
 
 @dataclass(frozen=True)
@@ -59,10 +60,10 @@ class Summary:
     p95_px: float
     """95 % quantile of this error."""
     settle_s_p95: float | None
-    """95 % quantile of the time from the appearance until both eyes stay within SETTLED_PX; None:
-    more than 5 % of the trials do not settle."""
+    """95 % quantile of the time until both eyes stay within SETTLED_PX; None: more than 5 % of the
+    trials do not settle."""
     lost: int
-    """Number of trials at whose end the object was not found in both narrow images."""
+    """Number of trials that end without the object in both narrow images."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +77,7 @@ class Trial:
     errors_px: Array
     """(N, 2) true distance of the object from the centres of the left and right narrow image."""
     lost: bool
-    """Whether the object was not found in both narrow images at the end."""
+    """Whether one of the narrow images did not show the object at the end."""
     geometry: VisualGeometry | None = None
     """What was learned until then."""
 
@@ -87,7 +88,7 @@ class Trial:
 
     @property
     def settle_s(self) -> float:
-        """Time from which both eyes stay within SETTLED_PX; infinity: they do not."""
+        """Time from which both eyes stay within SETTLED_PX; infinite if they do not."""
         outside = np.flatnonzero(~(self.errors_px.max(axis=1) <= SETTLED_PX))
         first = 0 if not len(outside) else outside[-1] + 1
         return float(self.time_s[first]) if first < len(self.time_s) else np.inf
@@ -99,10 +100,10 @@ def targets(
     *,
     free: Callable[[Array], np.ndarray] = lambda places: np.ones(len(places), bool),
 ) -> Array:
-    """Return the positions (trials, 3) [m] at which objects appear, in frame head.
+    """Draw the positions (trials, 3) [m] at which objects appear, in frame head.
 
-    Pan, tilt and depth are distributed uniformly, with directions within +-20 degrees. `free`
-    returns (N,) whether positions (N, 3) are unoccluded; those that are not are drawn again.
+    Pan, tilt and depth are uniform. `free` tests (N,) whether positions (N, 3) are unoccluded;
+    others are drawn again.
     """
     rng = np.random.default_rng([seed, 5])
 
@@ -126,10 +127,10 @@ def run_trial(
     geometry: VisualGeometry | None = None,
     watch: Callable[[GazeState, Frame | None], None] = lambda state, frame: None,
 ) -> Trial:
-    """Run the gaze controller for half a second on an object that appears.
+    """Run the gaze controller for WITHIN_S on an object that appears.
 
-    The number of the run determines the noise. The object's position (3,) [m] is in frame head.
-    The geometry is that of an earlier trial. `watch` is called with every state and its frame.
+    The number of the run is the seed of the noise. The object's position (3,) [m] is in frame head.
+    The geometry is that of an earlier trial. `watch` gets each state and its frame.
     """
     head = SimulatedHead(twin, run, lambda _: target_head, all_cameras_every=1)
     at_rest = np.zeros(len(settings.joints))
@@ -150,7 +151,7 @@ def run_trial(
 
 
 def summary(trials: list[Trial]) -> Summary:
-    """Return the statistics of trials."""
+    """Compute the statistics of trials."""
     final = [trial.final_px for trial in trials]
     slow = p95([trial.settle_s for trial in trials])
     return Summary(
@@ -179,7 +180,6 @@ def foveate(
         VergenceError: an argument is out of range, or the folder cannot be written.
     """
     check_trials(trials)
-    made: list[Trial] = []
     seed, out = experiment.seed, experiment.out
     with (
         calibrated_twin(experiment, progress) as (twin, settings),
@@ -188,20 +188,21 @@ def foveate(
             report,
         ),
     ):
-        progress("foveate, trials", 0, trials)
         if out is not None:
             save_foveation(out / "depth.png", settings.calibration)
-        free = partial(unoccluded, twin, margin_m=OBJECT_M)
+        where = targets(trials, seed, free=partial(unoccluded, twin, margin_m=OBJECT_M))
 
         def record(state: GazeState, frame: Frame | None) -> None:
             if len(made) < RECORDED:
                 watch(state, frame, {"object": f"{len(made) + 1}"}, None)
 
-        for run, target in enumerate(targets(trials, seed, free=free), start=1):
-            known = made[-1].geometry if made else initial_geometry(twin, settings)
-            trial = run_trial(twin, settings, run, target, geometry=known, watch=record)
-            made.append(trial)
-            progress("foveate, trials", len(made), trials)
+        made: list[Trial] = []
+        known = initial_geometry(twin, settings)
+        for number, target in enumerate(where, start=1):
+            progress("foveate, trials", number - 1, trials)
+            made.append(run_trial(twin, settings, number, target, geometry=known, watch=record))
+            known = made[-1].geometry
+        progress("foveate, trials", trials, trials)
         report += as_markdown(made[:RECORDED])
         found = summary(made)
         write_summary(out, "foveate", found)
@@ -209,7 +210,7 @@ def foveate(
 
 
 def as_markdown(trials: list[Trial]) -> list[str]:
-    """Return the lines of a report on trials."""
+    """Write the lines of a report on trials."""
     columns = (
         "object | distance [m] | initial error [px] | final error [px] | "
         f"within {SETTLED_PX:g} px after [s]"

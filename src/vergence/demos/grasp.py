@@ -1,8 +1,8 @@
 """Grasp an object that a person holds out (the paper's Fig. 12).
 
-The object is brought from a distance and held out, not quite still. The eyes keep it on both
-foveas, and `vergence.gaze.reaching` moves the simulated hand, by frames, readings and the hand's
-encoders. The truth is used only to measure where the hand closed, and the eyes' depth errors.
+The object is brought from a distance and held out, swaying a little. The eyes keep it on both
+foveas, and the reach controller moves the simulated hand, by frames, readings and the hand's
+encoders. The truth is used to measure where the hand closed, and the eyes' depth errors by range.
 """
 
 from __future__ import annotations
@@ -40,19 +40,19 @@ from vergence.twin.head import Twin
 from vergence.twin.simulated_robot import SimulatedHead
 
 WITHIN_M = 0.010
-"""Distance from the object's centre within which the hand should close."""
+"""Distance from the object's centre within which the hand should close [m]: half its radius."""
 FAR_M, NEAR_M = (1.0, 1.3), (0.38, 0.55)
-"""Distances from the head at which the object comes into view and is held out."""
+"""Distances from the head at which the object comes into view and is held out [m]."""
 FAR_RAD, NEAR_RAD = 0.25, 0.20
-"""Greatest pan and tilt of the object at these distances."""
+"""Maximum pan and tilt of the object at these distances [rad]."""
 BROUGHT_M_S = 0.19
-"""Mean speed of the object; its greatest is 0.3 m/s."""
+"""Mean speed of the object [m/s]; its maximum is 0.3 m/s."""
 SWAY_M, SWAY_HZ = 0.012, (0.25, 0.5)
-"""Amplitude and range of frequencies of the object's sway, along each axis."""
+"""Amplitude [m] and range of frequencies [Hz] of the object's sway along each axis."""
 LONGEST_S = 12.0
-"""Greatest length of a trial."""
+"""Maximum length of a trial [s]."""
 RECORDED = 3
-"""Number of trials that are recorded: more would only make the file larger."""
+"""Number of trials that are recorded, to keep the file small."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,11 +64,11 @@ class Trial:
     seconds: float
     """Length of the trial."""
     miss_m: float
-    """Distance of the closed hand's centre from the object's; infinity: it did not close."""
+    """Distance of the closed hand's centre from the object's; infinite if it did not close."""
     unaided_m: float
-    """Distance from it of a hand that moves by its encoders to where the eyes see the object."""
+    """The same for a hand that moves by its encoders to where the eyes see the object."""
     samples: tuple[DepthSample, ...]
-    """Depth errors of the eyes, frame by frame until the fingers began to close."""
+    """Depth errors of the eyes, frame by frame until the fingers start to close."""
     geometry: VisualGeometry | None = None
     """What was learned until the end."""
 
@@ -87,7 +87,7 @@ class Summary:
     p95_mm: float | None
     """95 % quantile of this distance."""
     worst_mm: float | None
-    """Greatest of these distances."""
+    """Maximum of these distances."""
     unaided_median_mm: float | None
     """Median distance of a hand that moves by its encoders alone, at the same moments."""
     seconds_p95: float
@@ -97,7 +97,7 @@ class Summary:
 
 
 def hand_held(seed: int, run: int) -> Callable[[float], Array]:
-    """Return a random path of a held object by seed and run: (3,) [m] in frame head by time [s]."""
+    """Draw the path of a held object by seed and run: (3,) [m] in frame head by time [s]."""
     rng = np.random.default_rng([seed, 9, run])
     far, near = (
         rng.uniform(*depth) * np.array([1.0, *np.tan(rng.uniform(-widest, widest, 2))])
@@ -125,9 +125,9 @@ def run_trial(
 ) -> Trial:
     """Hold out one object until the hand has closed or the time is over.
 
-    The number of the run determines the noise. The object's path is its position (3,) [m] in frame
-    head by time [s]; T_body_arm is the true pose (4, 4) of the arm relative to its assumed one.
-    The geometry is that of an earlier trial. `watch` is called with every state and its frame.
+    The number of the run is the seed of the noise. The object's path is its position (3,) [m] in
+    frame head by time [s]; T_body_arm is the true pose (4, 4) of the arm relative to its assumed
+    one. The geometry is that of an earlier trial. `watch` gets each state and its frame.
     """
     head = SimulatedHead(twin, run, path_head)
     head.hand = hand = SimulatedHand(twin, settings.home, T_body_arm)
@@ -154,7 +154,7 @@ def run_trial(
 
 
 def summary(trials: list[Trial]) -> Summary:
-    """Return the statistics of trials."""
+    """Compute the statistics of trials."""
     miss = np.array([trial.miss_m for trial in trials])
     closed = np.sort(miss[np.isfinite(miss)]) * 1e3
     unaided = [trial.unaided_m for trial in trials if np.isfinite(trial.unaided_m)]
@@ -188,7 +188,6 @@ def grasp(
         VergenceError: an argument is out of range, or the folder cannot be written.
     """
     check_trials(trials)
-    made: list[Trial] = []
     seed, out = experiment.seed, experiment.out
     with (
         calibrated_twin(experiment, progress) as (twin, gaze),
@@ -197,18 +196,20 @@ def grasp(
             report,
         ),
     ):
-        progress("grasp, trials", 0, trials)
         settings = ReachSettings(gaze=gaze)
 
         def record(state: ReachState, frame: Frame | None) -> None:
             if len(made) < RECORDED:
                 watch(state.gaze, frame, {"hand": state.phase.value}, state.hand)
 
-        for run in range(1, trials + 1):
-            arguments = twin, settings, run, hand_held(seed, run), arm_mounting_error(seed, run)
-            known = made[-1].geometry if made else initial_geometry(twin, gaze)
-            made.append(run_trial(*arguments, geometry=known, watch=record))
-            progress("grasp, trials", len(made), trials)
+        made: list[Trial] = []
+        known = initial_geometry(twin, gaze)
+        for number in range(1, trials + 1):
+            progress("grasp, trials", number - 1, trials)
+            arguments = hand_held(seed, number), arm_mounting_error(seed, number)
+            made.append(run_trial(twin, settings, number, *arguments, geometry=known, watch=record))
+            known = made[-1].geometry
+        progress("grasp, trials", trials, trials)
         found = summary(made)
         report += as_markdown(found)
         write_summary(out, "grasp", found)
@@ -216,7 +217,7 @@ def grasp(
 
 
 def as_markdown(found: Summary) -> list[str]:
-    """Return the lines of a report."""
+    """Write the lines of a report."""
     lines = [
         f"The hand closed within {1e3 * WITHIN_M:.0f} mm of the object's centre in "
         f"{found.within:.0%} of {counted(found.trials, 'trial')}.",

@@ -1,4 +1,4 @@
-"""Record a gaze controller on the twin: its states, beside the truth."""
+"""Record a gaze controller on the twin: its states and the truth."""
 
 from __future__ import annotations
 
@@ -24,11 +24,10 @@ from vergence.viewer.recording import Recording, log_report, recording_file
 from vergence.viewer.seen import log_seen_styles
 
 SERIES = 1000
-"""Number of frames whose curves are recorded at once, so that a long run needs no more memory."""
+"""Number of frames whose curves are recorded at once, which bounds the memory of a long run."""
 Watch = Callable[[GazeState, Frame | None, Mapping[str, str], Array | None], None]
-"""A function that is called with a state and the frame that led to it, with phases by lane beside
-that of the gaze, and with the position (3,) of a hand [m] in frame body. Without a frame nothing
-is recorded."""
+"""A function that records a state and its frame, further phases by lane, and the position (3,) [m]
+of a hand in frame body. Without a frame it records nothing."""
 
 
 @contextmanager
@@ -43,20 +42,20 @@ def recorded(
     speed: float = 1.0,
     hand: bool = False,
 ) -> Iterator[tuple[Watch, list[str]]]:
-    """Record in a `with` block what a function is called with, to `name`.rrd in a folder.
+    """Record runs in a `with` block to `name`.rrd in a folder; None: nothing is recorded.
 
-    Several runs, each with its time from zero, follow each other on one timeline. Images are
-    recorded of the frames that have those of all cameras. Without a folder nothing is recorded.
+    Runs, each with its time from zero, follow each other on one timeline. Images are recorded of
+    the frames that have those of all cameras.
 
     Args:
-        out: folder; None: there is none.
+        out: folder.
         name: of the demo.
-        twin: the head; its truth is drawn beside the controller's estimates.
+        twin: the head, whose truth is drawn with the controller's estimates.
         settings: of the controller.
         seed: of the head, for the title.
-        reach_m: greatest distance of objects [m], for the 3-D view.
+        reach_m: maximum distance of objects [m], for the 3-D view.
         speed: of the playback, in recorded seconds a second.
-        hand: whether positions of a hand are recorded.
+        hand: whether there is a hand.
 
     Yields:
         The function to call, and a list for the lines of the report in Markdown.
@@ -81,15 +80,15 @@ def recorded(
 
 
 class _Recorder:
-    """Records frame after frame, and their curves SERIES frames at a time."""
+    """Records frame after frame, and the curves of SERIES frames at a time."""
 
     def __init__(self, rec: Recording, twin: Twin, settings: GazeSettings):
         self._rec, self._twin, self._settings = rec, twin, settings
-        self._count = 0  # frames so far, of all runs
-        self._moments: list[Moment] = []  # those whose curves are not recorded yet
-        self._lanes_before: Mapping[str, str] = {}
-        # Time of the latest frame in its run, and of the beginning of that run on the timeline.
-        self._before_s, self._began_s = -np.inf, 0.0
+        self._count = 0  # frames of all runs
+        self._moments: list[Moment] = []  # frames whose curves are not recorded yet
+        self._lanes: Mapping[str, str] = {}
+        # Time of the latest frame in its run, and of the start of that run on the timeline.
+        self._latest_s, self._start_s = -np.inf, 0.0
 
     def watch(
         self, state: GazeState, frame: Frame | None, lanes: Mapping[str, str], hand: Array | None
@@ -99,17 +98,20 @@ class _Recorder:
             return
         rec, twin, settings = self._rec, self._twin, self._settings
         head = settings.calibration
-        time_s = self._on_timeline(frame)
+        if frame.time_s < self._latest_s:  # the next run
+            self._start_s += self._latest_s + FRAME_S
+        self._latest_s = frame.time_s
+        time_s = self._start_s + frame.time_s
         T_body_lbase = T_body_base(head, "left", frame.neck_angles)
         if not self._count:
             log_gaze_styles(rec, head, twin.T_world_lbase() @ inverse(T_body_lbase))
             if state.geometry is not None:
                 log_seen_styles(rec, head, state.geometry.state)
         poses = twin.body_poses()
-        hidden = poses["object"][2, 3] < 0  # below the floor
-        where = np.full(3, np.nan) if hidden else twin.true_object()
+        where, errors_px = twin.true_object(), foveal_errors(twin, settings)
+        if poses["object"][2, 3] < 0:  # hidden, below the floor
+            where, errors_px = np.full(3, np.nan), np.full(len(settings.eyes), np.nan)
         eyes = twin.true_angles()[EYE_READINGS]
-        unknown_px = np.full(len(settings.eyes), np.nan)
         log_gaze_frame(
             rec,
             settings,
@@ -121,28 +123,12 @@ class _Recorder:
             body_poses=poses,
             truth={name: project_point(twin.truth, name, eyes, where) for name in frame.images},
         )
-        self._moments.append(
-            moment(
-                settings,
-                state,
-                frame,
-                time_s,
-                lanes=lanes,
-                truth=transform(T_body_lbase, where),
-                errors_px=unknown_px if hidden else foveal_errors(twin, settings),
-                hand=hand,
-            )
-        )
+        truth = transform(T_body_lbase, where)
+        observed = {"lanes": lanes, "truth": truth, "errors_px": errors_px, "hand": hand}
+        self._moments.append(moment(settings, state, frame, time_s, **observed))
         self._count += 1
         if len(self._moments) == SERIES:
             self.record_series()
-
-    def _on_timeline(self, frame: Frame) -> float:
-        """Return the time of a frame [s] on the timeline of all runs."""
-        if frame.time_s < self._before_s:  # the next run
-            self._began_s += self._before_s + FRAME_S
-        self._before_s = frame.time_s
-        return self._began_s + frame.time_s
 
     def record_series(self) -> None:
         """Record the curves of the frames since the last time."""
@@ -152,8 +138,8 @@ class _Recorder:
             eyes=tuple(self._settings.eyes),
             joints=self._settings.joints,
             first=self._count - len(self._moments),
-            lanes=self._lanes_before,
+            lanes=self._lanes,
         )
         if self._moments:
-            self._lanes_before = self._moments[-1].lanes
+            self._lanes = self._moments[-1].lanes
         self._moments.clear()

@@ -1,7 +1,7 @@
 """Track a moving object: keep it on both foveas and estimate its position (Sec. III).
 
-The object moves on a smooth random path before the head, is hidden once for half a second, and is
-followed from frames alone. The truth is used only to measure the errors.
+The object moves on a smooth random path before the head and is hidden once for half a second. The
+gaze controller follows it from frames alone. The truth is used to measure the errors only.
 """
 
 from __future__ import annotations
@@ -31,20 +31,20 @@ from vergence.twin.simulated_robot import FRAME_S, SimulatedHead, foveal_errors,
 from vergence.vision.sphere import find_sphere
 
 SPEED_M_S = 0.3
-"""Greatest speed of the object."""
+"""Maximum speed of the object [m/s]."""
 DEPTH_M = (0.4, 1.0)
+"""Range of depths of the object [m]."""
 DIRECTION_RAD = (0.30, 0.22)
-"""Greatest pan and tilt of the object: well within the eyes' ranges."""
+"""Maximum pan and tilt of the object [rad]: well within the eyes' ranges."""
 HIDDEN_S = 0.5
-"""Time for which the object is hidden."""
+"""Time for which the object is hidden [s]: longer than `GazeSettings.lost_s`."""
 ACQUIRE_S = 0.5
-"""Time from the first appearance to the first frame that counts; after the object was hidden, all
-frames count."""
+"""Time from the first appearance to the first frame that counts [s]. After the object was hidden,
+all frames count."""
 ALL_CAMERAS_EVERY = 6
 """Every Nth frame has the images of all cameras, for the comparison of lenses and the recording."""
-_GRID = 6000
-"""Fewest times at which the speed of a path is compared."""
 SHORTEST_S, LONGEST_S = 3.0, 3600.0
+"""Range of the length of a run [s]."""
 
 
 @dataclass(frozen=True)
@@ -54,9 +54,9 @@ class Summary:
     seconds: float
     """Length of the run."""
     frames: int
-    """Number of frames that count: from ACQUIRE_S on, with the object not hidden."""
+    """Number of frames that count: from ACQUIRE_S on, without those that hide the object."""
     in_both: float
-    """Share of them in which the object's centre was truly in both narrow images."""
+    """Share of them with the object's true centre in both narrow images."""
     rms_px: float
     """Root mean square of its distance from their centres, while in both."""
     position_rms_m: float
@@ -70,10 +70,10 @@ class Summary:
 
 
 def smooth_path(seed: int, seconds: float) -> Callable[[float], Array]:
-    """Return a smooth random path: the position (3,) [m] in frame head as a function of time [s].
+    """Draw a smooth path: the position (3,) [m] in frame head as a function of time [s].
 
-    Depth and direction are sums of three slow waves, and time is scaled so that the greatest speed
-    is SPEED_M_S over a run of this length.
+    Depth and direction are sums of three slow waves. Time is scaled so that the maximum speed in a
+    run of this length is SPEED_M_S.
     """
     rng = np.random.default_rng([seed, 6])
     frequency, phase = rng.uniform(0.4, 1.6, (3, 3)), rng.uniform(0, 2 * np.pi, (3, 3))
@@ -89,12 +89,12 @@ def smooth_path(seed: int, seconds: float) -> Callable[[float], Array]:
         return depth[:, None] * np.stack([np.ones_like(depth), sideways, up], axis=-1)
 
     def fastest(rate: float) -> float:
-        times = np.linspace(0, seconds, max(_GRID, int(100 * seconds)))
+        times = np.linspace(0, seconds, max(6000, int(100 * seconds)))
         steps = np.linalg.norm(np.diff(shape(rate * times), axis=0), axis=1)
         return float(steps.max() / (times[1] - times[0]))
 
     low, high = 0.0, 10.0
-    for _ in range(40):  # the greatest speed grows with the rate, though not linearly
+    for _ in range(40):  # bisection: the maximum speed grows with the rate
         middle = (low + high) / 2
         low, high = (middle, high) if fastest(middle) < SPEED_M_S else (low, middle)
     return lambda time_s: shape(np.array([low * time_s]))[0]
@@ -111,11 +111,11 @@ def follow(
     geometry: VisualGeometry | None = None,
     watch: Callable[[GazeState, Frame | None], None] = lambda state, frame: None,
 ) -> Summary:
-    """Run the gaze controller on a moving object and return the statistics.
+    """Run the gaze controller on a moving object, and compute the statistics.
 
-    The number of the run determines the noise. The object's path is its position (3,) [m] in frame
-    head by time [s]. From `hidden_s` on it is hidden for HIDDEN_S; None: it is not hidden. The
-    geometry is what is known of it before. `watch` is called with every state and its frame.
+    The number of the run is the seed of the noise. The object's path is its position (3,) [m] in
+    frame head by time [s]. From `hidden_s` on it is hidden for HIDDEN_S; None: it is not hidden.
+    The geometry is what was learned before. `watch` gets each state and its frame.
     """
 
     def path(time_s: float) -> Array | None:
@@ -148,12 +148,12 @@ def follow(
 
 
 def _statistics(table: Array, seconds: float, hidden_s: float | None) -> Summary:
-    """Return the statistics of a run.
+    """Compute the statistics of a run.
 
     Args:
         table: (N, 7) of the frames that count: time [s]; whether the object is in both narrow
             images; its distances from their centres [px]; and squared errors [m^2] of the track,
-            of the single frame and of the wide images, NaN where there is no estimate.
+            of the single frame and of the wide images, NaN without an estimate.
         seconds: length of the run.
         hidden_s: time from which the object was hidden for HIDDEN_S; None: it was not.
     """
@@ -176,12 +176,12 @@ def _statistics(table: Array, seconds: float, hidden_s: float | None) -> Summary
 
 
 def _root_mean(squares: Array) -> float:
-    """Return the root of the mean of squares (n,); infinite if there are none."""
+    """Compute the root of the mean of squares (n,); infinite without squares."""
     return float(np.sqrt(squares.mean())) if len(squares) else np.inf
 
 
 def by_wide_images(settings: GazeSettings, frame: Frame) -> Array:
-    """Return the sphere (3,) [m] in the left eye's base by both wide images; NaN: not in both."""
+    """Locate the sphere (3,) [m] in the left eye's base by both wide images; NaN: not in both."""
     cameras = settings.wide[0], settings.wide[1]
     left, right = (
         find_sphere(frame.images[name], settings.calibration.camera(name).intrinsics)[None]
@@ -220,9 +220,9 @@ def track(experiment: Experiment, progress: Progress = silent, *, seconds: float
             progress("track, seconds", max(0, int(state.frame_s)), int(seconds))
             record(state, frame, {}, None)
 
-        known = initial_geometry(twin, settings)
+        geometry = initial_geometry(twin, settings)
         arguments = twin, settings, 1, path, seconds
-        found = follow(*arguments, hidden_s=hidden_s, geometry=known, watch=both)
+        found = follow(*arguments, hidden_s=hidden_s, geometry=geometry, watch=both)
         progress("track, seconds", int(seconds), int(seconds))
         report += as_markdown(found, hidden_s)
         write_summary(out, "track", found)
@@ -230,7 +230,7 @@ def track(experiment: Experiment, progress: Progress = silent, *, seconds: float
 
 
 def as_markdown(found: Summary, hidden_s: float) -> list[str]:
-    """Return the lines of a report."""
+    """Write the lines of a report."""
     return [
         f"An object at up to {SPEED_M_S} m/s; hidden from {hidden_s:.1f} s for {HIDDEN_S} s.",
         "",
