@@ -25,7 +25,6 @@ from vergence.accuracy.motions import PERIOD_S, eye_angles
 from vergence.arrays import Array
 from vergence.cli.accuracy_reports import advice, budget_report, budget_rows
 from vergence.errors import VergenceError
-from vergence.geometry.camera import pinhole
 from vergence.geometry.head import HeadCalibration, save_head
 from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import Kinematics, Side
@@ -124,21 +123,6 @@ def test_halving_a_source_gives_what_the_budget_says():
     assert halved[CALIBRATION] < whole
 
 
-def test_errors_that_both_eyes_share_cancel_in_parallel_motion():
-    """In depth; white noise is the same in both."""
-    both = {"left.pan_gain": 0.01, "right.pan_gain": 0.01}
-    sources = [Source("joints", joint_std_rad=1e-3), Source("gain", errors=both)]
-    found = {
-        kind: budget(HEAD, POINT[None], **motion(kind), sources=sources)[0].parts
-        for kind in ("parallel", "divergent")
-    }
-    noise, gain = (
-        [found[kind][k].spread_m[0] for kind in ("parallel", "divergent")] for k in (0, 1)
-    )
-    assert noise[0] == pytest.approx(noise[1], rel=0.05)
-    assert gain[0] < 0.06 * gain[1]
-
-
 def test_the_covariance_of_a_calibration_is_split_into_its_groups():
     head = stated(HEAD)
     accuracy = head.accuracy
@@ -162,17 +146,6 @@ def test_the_covariance_of_a_calibration_is_split_into_its_groups():
     sampled = 100 * np.sqrt(np.mean(spreads, axis=0))
     np.testing.assert_allclose(found.total.spread_m, sampled[0], rtol=0.12)
     np.testing.assert_allclose(found.total.shared_m, sampled[1], rtol=0.12)
-
-
-def test_every_parameter_of_a_head_has_a_group():
-    groups = {name: group_of(name) for name in parameter_names(HEAD)}
-    assert groups["left_wide.fx"] == "focal lengths"
-    assert groups["left_wide.p2"] == "distortion"
-    assert groups["T_rbase_lbase.rz"] == "base"
-    axes = {name for name, group in groups.items() if group == "axes of the eyes"}
-    assert any(name.endswith("nonorthogonality_rad") for name in axes)
-    assert groups["left.pan_gain"] == "gains"
-    assert groups["time_offset_s"] == "time offset"
 
 
 def test_what_cannot_be_budgeted_is_refused():
@@ -256,12 +229,6 @@ def test_the_motion_of_a_dataset_of_other_joints_is_refused(tmp_path):
         motion_of(str(tmp_path / "set"), head)
 
 
-def test_the_table_of_a_budget_names_its_unit(monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["vergence", "budget", "--profile", "noise-only"])
-    cli.main()
-    assert "1 std [mm]" in capsys.readouterr().out
-
-
 def test_a_budget_beyond_first_order_says_so():
     noise = {"motion": "parallel", "profile": None, "pixel_std_px": 0.5}
     near, far = (run(HEAD, points=scale * POINT[None], **noise) for scale in (1, 20))
@@ -278,26 +245,6 @@ def test_a_point_that_cannot_be_told_apart_from_infinity_is_refused_with_the_lim
     limit = float(re.findall(r"about (\d+) m", str(refused.value))[0])
     assert 25 < limit < 40
     run(HEAD, points=0.9 * limit * POINT[None] / np.linalg.norm(POINT), **noise)
-
-
-def test_a_point_that_folds_back_into_the_image_is_not_seen():
-    lens = pinhole(640, 480, 280.0, (-0.3, 0.0, 0.0, 0.0, 0.0))  # folds over at 46 degrees
-    cameras = {n: replace(c, intrinsics=lens) for n, c in HEAD.cameras.items()}
-    with pytest.raises(VergenceError, match="in both images in 0 of"):
-        budget(
-            replace(HEAD, cameras=cameras),
-            np.array([[0.4, 0.72, 0.0]]),
-            joints=np.zeros((5, 4)),
-            rates=np.zeros((5, 4)),
-            sources=[Source("pixels", pixel_std_px=0.1)],
-        )
-
-
-def test_a_part_that_rounds_to_zero_has_no_sign():
-    points, profile = np.array([[0.5, -0.04, 0.0]]), load_profile("paper")
-    found = run(HEAD, points=points, motion="divergent", profile=profile, pixel_std_px=None)
-    assert any((part.shared_m < 0).any() for part in found.budgets[0].parts)
-    assert "-0.00" not in " ".join(" ".join(row) for row in budget_rows(found, 0))
 
 
 def test_a_profile_gives_sources_that_the_papers_method_does_not_find():

@@ -1,7 +1,6 @@
 """Sweeps over designs: sums of their sources, that can be stopped and go on."""
 
 import os
-import subprocess
 import sys
 from pathlib import Path
 
@@ -28,7 +27,6 @@ from vergence.accuracy.design_sweep import (
 )
 from vergence.arrays import Array
 from vergence.errors import VergenceError
-from vergence.viewer.plots import design as picture
 
 SMALL = DesignSettings.model_validate(
     {
@@ -88,21 +86,6 @@ def test_the_cheapest_design_is_that_of_all_that_are_accurate_enough(swept):
     assert order == sorted(order)
     assert cheapest(swept, 1e-6, 0.5) == []
     assert worst[most_accurate(swept, 0.5)] == worst.min()
-
-
-def test_pictures_have_plain_numbers_units_and_no_point_at_the_edge(swept, tmp_path, monkeypatch):
-    drawn = []
-    monkeypatch.setattr(picture, "save", lambda canvas, path: drawn.append(canvas))
-    place = cheapest(swept, 1.0, 0.5)[0]
-    picture.save_design(tmp_path / "d.png", swept, place, 5e-3, 0.5)
-    picture.save_properties(tmp_path / "p.png", swept, place, 0.5)
-    for canvas in drawn:
-        canvas.draw_without_rendering()
-    ticks = [text.get_text() for axes in drawn[0].axes for text in axes.get_yticklabels()]
-    assert not [text for text in ticks if "$" in text]
-    assert drawn[1].axes[0].get_xlabel() == "baseline [mm]"
-    for axes in drawn[1].axes:
-        assert max(axes.lines[0].get_ydata()) < 0.95 * axes.get_ylim()[1]
 
 
 def test_points_that_no_image_holds_are_left_out():
@@ -183,14 +166,6 @@ def test_finished_work_that_is_no_array_of_floats_is_computed_again(kind: str, t
     else:
         np.save(file, numbers.astype(str if kind == "text" else complex))
     assert command.read_chunk(file, (2, 3)) is None
-
-
-def test_processes_that_compute_do_not_wait_for_what_draws():
-    code = "import sys, vergence.accuracy.design_chunks; print(*sys.modules)"
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    loaded = run.stdout.split()
-    assert "joblib" in loaded
-    assert not {"matplotlib", "rerun"} & set(loaded)
 
 
 @pytest.mark.slow

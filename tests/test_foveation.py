@@ -162,11 +162,6 @@ def test_gaze_angles_centre_a_point_in_both_eyes_exactly(seed: int, lens):
         assert np.abs(in_cam[:, :2] / in_cam[:, 2:]).max() < 1e-12
 
 
-def test_eyes_converge_on_what_is_near():
-    near, far = gaze_angles(head(2), np.array([[0.3, -0.04, 0], [3.0, -0.04, 0]]))
-    assert near[0] - near[2] < far[0] - far[2]  # left pans right, right pans left
-
-
 def test_a_point_is_centred_though_the_error_before_the_last_step_was_not_small_yet():
     """A camera ahead of its axes comes nearer to a point by more than it turns."""
     mounted = {"camera_m": ((0.02, 0.01, 0.01),) * 2, "mounting_deg": ((2.0, 1.0, -3.0),) * 2}
@@ -231,12 +226,3 @@ def test_a_rendered_object_held_at_the_ideal_position_is_in_the_middle_of_the_fo
                 seen = find_sphere(frame.images[f"{eye}_wide"], wide)
                 ideal = ideal_wide_pixel(twin.truth, eye, depth)
                 assert np.linalg.norm(seen - ideal) < 0.3
-
-
-def test_the_whole_is_vectorised():
-    """Ten thousand depths and ten thousand gazes take no loop over samples."""
-    assert ideal_wide_pixel(head(0), "left", np.full((1000, 10), 0.5)).shape == (1000, 10, 2)
-    points = np.broadcast_to([0.5, 0.0, 0.0], (100, 100, 3))
-    assert gaze_angles(head(0), points).shape == (100, 100, 4)
-    one, all_of_them = gaze_angles(head(0), points[0, 0]), gaze_angles(head(0), points)
-    np.testing.assert_allclose(all_of_them, np.broadcast_to(one, (100, 100, 4)), atol=1e-12)

@@ -84,14 +84,6 @@ def test_a_still_object_comes_to_the_middle_of_both_foveas_and_stays(pan, tilt, 
     )
 
 
-def test_the_position_in_frame_body_is_always_estimated():
-    target = point_at(-15, 8, 0.6)
-    done = run(DrawnHead(lambda _: target), 0.6)
-    for state in done.states[3:]:
-        assert state.track is not None
-        assert np.linalg.norm(state.track.position - target) < 2e-3
-
-
 @pytest.mark.slow
 def test_a_moving_object_is_followed_without_lag():
     path = circling(0.2)
@@ -125,22 +117,6 @@ def test_readings_that_are_older_than_the_image_are_carried_to_it():
     assert np.median(errors) < 2e-3
 
 
-def test_readings_are_carried_to_the_image_as_the_servos_follow():
-    """After a saccade they still do, by degrees."""
-    target = point_at(25, -12, 0.6)
-    head = DrawnHead(lambda _: target, joint_lag_s=0.03, servo_lag_s=0.05)
-    done = run(head, 1.0, replace(SETTINGS, servo_lag_s=0.05))
-    measured = [state.measured for state in done.states if state.measured is not None]
-    assert len(measured) > 15
-    assert np.linalg.norm(np.array(measured) - target, axis=1).max() < 3e-3
-
-
-@pytest.mark.slow
-def test_a_moving_object_is_followed_though_servos_lag():
-    done = run(DrawnHead(circling(0.2), servo_lag_s=0.05), 1.5, replace(SETTINGS, servo_lag_s=0.05))
-    assert np.sqrt((done.after(0.8) ** 2).mean()) < 3  # 20 px behind by the lag itself
-
-
 @pytest.mark.parametrize("servo_lag_s", [0.005, 0.05])
 def test_joints_that_lag_behind_their_set_points_come_to_rest(servo_lag_s: float):
     target = point_at(12, -8, 0.8)
@@ -153,15 +129,6 @@ def test_a_lag_of_which_the_controller_knows_nothing_makes_no_object_move():
     target = point_at(12, -8, 0.8)
     done = run(DrawnHead(lambda _: target, latency_s=0.03, servo_lag_s=0.02), 1.5)
     assert done.after(1.0).max() < 3  # 147 px, if the readings did not count
-
-
-def test_frames_that_come_fast_and_late_are_used_at_their_time():
-    """Commands of a second are kept, however many they are."""
-    target = point_at(12, -8, 0.8)
-    for latency_s, period_s, seconds in ((0.15, 1 / 150, 0.8), (0.6, 0.1, 3.0)):
-        head = DrawnHead(lambda _: target, latency_s=latency_s, period_s=period_s)
-        done = run(head, seconds, replace(SETTINGS, lost_s=2.0))
-        assert done.after(seconds - latency_s - 0.4).max() < 0.5
 
 
 def test_an_object_that_both_eyes_see_but_whose_rays_do_not_meet_is_followed():
@@ -218,15 +185,6 @@ def test_repeated_and_missing_frames_are_tolerated():
     assert np.sqrt((done.after(0.6) ** 2).mean()) < 20
 
 
-def test_an_older_frame_than_the_last_changes_nothing():
-    head = DrawnHead(lambda _: point_at(10, 0, 0.5))
-    done = run(head, 0.3)
-    old = replace(head.last, time_s=0.1)
-    after = step_gaze(SETTINGS, done.states[-1], old, head.now_s())
-    assert after.command is done.states[-1].command
-    assert after.track is done.states[-1].track
-
-
 def test_without_frames_the_motion_stops_and_the_object_counts_as_lost():
     head = DrawnHead(circling(0.2), dropped=lambda n: n >= 30)
     done = run(head, 2.0)
@@ -246,24 +204,6 @@ def test_a_hidden_object_is_lost_and_found_again():
     assert GazePhase.LOST in done.phases[30:46]
     assert GazePhase.LOST not in done.phases[48:]
     assert done.after(2.0).max() < 32
-
-
-@pytest.mark.slow
-def test_an_object_beyond_the_view_is_searched_for_and_found():
-    target = point_at(62, 0, 0.8)
-    done = run(DrawnHead(lambda _: target), 5.0, replace(SETTINGS, use_neck=True))
-    assert done.phases[0] is GazePhase.LOST
-    assert done.phases[-1] is GazePhase.FIXATION
-    assert done.errors[-1].max() < 2
-
-
-def test_a_search_without_the_neck_leaves_the_neck_where_it_is():
-    posture = np.concatenate([[0.2, 0.0, -0.3], np.zeros(4)])
-    state = initial_gaze_state(SETTINGS, posture, 0.0)
-    for now_s in np.arange(0.0, 3.0, 0.1):
-        state = step_gaze(SETTINGS, state, None, now_s)
-        np.testing.assert_array_equal(setpoint(state.command, now_s + 0.1)[NECK], posture[NECK])
-    assert state.searched > 2
 
 
 @pytest.mark.slow
@@ -315,12 +255,6 @@ def test_eyes_go_first_the_neck_follows_and_the_image_stays(shift):
         assert np.abs(last[EYE_READINGS][[0, 2]].mean()) < 0.06
     assert (turning & foveated).sum() > 20
     assert done.errors[turning & foveated].max() < 20
-
-
-def test_the_neck_stays_where_it_is_for_small_shifts():
-    head = DrawnHead(lambda _: point_at(9, 5, 0.8))
-    run(head, 1.0, replace(SETTINGS, use_neck=True))
-    np.testing.assert_array_equal(head.posture(1.0)[NECK], 0)
 
 
 @pytest.mark.slow

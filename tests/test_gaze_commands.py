@@ -69,23 +69,9 @@ def test_what_is_no_posture_is_not_held(posture):
         hold(posture, LIMITS, 0.0)
 
 
-def test_a_command_does_not_change_with_the_array_that_it_was_made_of():
-    posture = np.zeros(7)
-    held = hold(posture, LIMITS, 0.0)
-    posture[:] = 0.3
-    np.testing.assert_array_equal(held.start, np.zeros(7))
-
-
 def test_every_joint_has_a_speed():
     with pytest.raises(VergenceError, match=r"found \(7, 2\) and \(4,\)"):
         JointLimits(speed_rad_s=np.ones(4))
-
-
-def test_a_goal_that_moves_too_fast_is_followed_at_the_speed_of_the_joints():
-    fast = command(goal=-0.3, rate=100.0)
-    now = np.array([setpoint(fast, t) for t in np.linspace(1, 1.15, 301)])
-    speed = np.abs(np.diff(now, axis=0)) / (0.15 / 300)
-    assert (speed.max(axis=0) <= LIMITS.speed_rad_s + 1e-9).all()
 
 
 def test_a_goal_is_reached_and_followed_until_no_further_command_comes():
@@ -119,15 +105,3 @@ def test_a_recording_is_a_head_that_goes_where_it_went(tmp_path: Path):
     assert head.now_s() == pytest.approx(dataset.time_s[-1] + 0.1)
     angles = np.array([frame.eye_angles for frame in seen if frame is not None])
     np.testing.assert_array_equal(angles, dataset.eye_angles)
-
-
-def test_the_clock_of_a_recording_goes_on_after_its_end(tmp_path: Path):
-    """So that a loop until a later time ends."""
-    small_dataset(tmp_path / "set", 3)
-    head = RecordedHead(load_dataset(tmp_path / "set"))
-    until_s = head.now_s() + 10
-    times = []
-    while head.now_s() < until_s:
-        head.read(())
-        times.append(head.now_s())
-    assert (np.diff(times) > 0).all()

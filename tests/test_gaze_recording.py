@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import rerun as rr
 from rerun.chunk import RrdReader
 
 from rrd import assert_valid, read_series
@@ -14,11 +13,10 @@ from vergence.demos.recording import recorded
 from vergence.gaze.controller import run_gaze
 from vergence.gaze.foveation import ideal_wide_pixel
 from vergence.gaze.state import GazeSettings, GazeState, initial_gaze_state
-from vergence.geometry.neck import NECK_JOINTS
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
 from vergence.twin.simulated_robot import FRAME_S, SimulatedHead, foveal_errors
-from vergence.viewer.gaze import Moment, aims, log_gaze_series, moment
+from vergence.viewer.gaze import aims, moment
 
 TARGET = np.array([0.6, 0.05, -0.1])
 HIDDEN_S = 0.2
@@ -163,29 +161,3 @@ def test_looking_on_changes_nothing(made: Recorded):
     assert alone is not None
     assert recorded_track is not None
     np.testing.assert_array_equal(alone.mean, recorded_track.mean)
-
-
-def test_curves_have_the_names_of_the_joints_of_any_head(tmp_path):
-    joints = (*NECK_JOINTS, "tilt", "version", "vergence")
-    nowhere = np.full(3, np.nan)
-    moments = [
-        Moment(
-            time_s=0.1 * k,
-            lanes={},
-            readings=np.arange(6.0) + k,
-            commanded=np.arange(6.0),
-            axes=np.zeros((2, 2, 3)),
-            fused=nowhere,
-            one_frame=nowhere,
-            by_joints=nowhere,
-            truth=nowhere,
-            errors_px=np.zeros(2),
-            hand=nowhere,
-        )
-        for k in range(3)
-    ]
-    rec = rr.RecordingStream("test")
-    rec.save(tmp_path / "joints.rrd")
-    log_gaze_series(rec, moments, joints=joints)
-    rec.disconnect()
-    assert read_series(tmp_path / "joints.rrd", "/eyes/vergence")[1].tolist() == [5.0, 6.0, 7.0]

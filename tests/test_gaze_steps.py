@@ -104,17 +104,6 @@ def test_a_neck_keeps_its_greatest_speed_and_acceleration(pan_deg: float):
         np.testing.assert_allclose((ends[1] - ends[0]) / 0.01, state.neck_rate, atol=1e-9)
 
 
-def test_a_neck_does_not_start_at_once_after_a_pause():
-    """As far as its acceleration goes in a tenth of a second."""
-    state = step_gaze(
-        WITH_NECK,
-        look_at(WITH_NECK, at_rest(WITH_NECK), point_at(60, 0, 1.0)),
-        frame_at(at_rest(), 3.0),
-        3.0,
-    )
-    assert state.neck_rate[2] == pytest.approx(0.1 * WITH_NECK.neck_acceleration_rad_s2)
-
-
 def test_a_neck_follows_until_the_eyes_are_near_their_middle():
     """It begins at 0.2 rad and ends at 0.04."""
     state = looking(WITH_NECK, at_rest(WITH_NECK), point_at(20, 0, 1.0), 2.0)[-1]
@@ -172,13 +161,6 @@ def test_an_object_is_lost_after_a_time_and_all_stops_and_is_forgotten():
     assert (lost.track, lost.aim, lost.measured) == (None, None, None)
     assert (lost.searched, lost.neck_turning) == (0, False)
     np.testing.assert_array_equal(lost.neck_rate, 0)
-
-
-def test_images_that_come_late_after_a_long_saccade_do_not_make_its_object_lost():
-    """The time without a measurement counts from the landing."""
-    state = replace(at_rest(), phase=GazePhase.SACCADE, seen_s=0.0, landing_s=0.3)
-    assert step_gaze(SETTINGS, state, None, 0.45).phase is GazePhase.SACCADE
-    assert step_gaze(SETTINGS, state, None, 0.55).phase is GazePhase.LOST
 
 
 @pytest.mark.parametrize("settings", [SETTINGS, WITH_NECK], ids=["eyes", "neck"])

@@ -59,17 +59,6 @@ def test_exact_measurements_of_a_parabola_give_it_exactly(acceleration: tuple[fl
     np.testing.assert_allclose(last.mean[6:], turn, atol=1e-6)
 
 
-def test_without_acceleration_it_is_the_filter_of_constant_velocity():
-    dt = 0.5
-    track = begin(0.0, np.zeros(3), R, MotionModel(acceleration_std_m_s2=0.0))
-    ahead = predict(track, dt, jerk_density=0.0)
-    np.testing.assert_array_equal(ahead.covariance[6:], 0)
-    variance = 0.09 * dt**2 + np.diag(R)
-    np.testing.assert_allclose(np.diag(ahead.covariance)[:3], variance)
-    after = update(ahead, np.array([0.1, 0, 0]), R)
-    np.testing.assert_array_equal(after.mean[6:], 0)
-
-
 def test_the_estimate_is_better_than_a_single_measurement_and_as_good_as_it_says():
     squared, single, fused = [], [], []
     for seed in range(60):
@@ -100,15 +89,6 @@ def test_the_covariance_stays_symmetric_and_positive_for_long():
     P = filtered(points)[-1].covariance
     np.testing.assert_allclose(P, P.T, atol=1e-18)
     assert np.linalg.eigvalsh(P).min() > 0
-
-
-def test_the_covariance_grows_without_measurements():
-    _, points = wandering(np.random.default_rng(2), 60)
-    last = filtered(points)[-1]
-    later = predict(last, last.time_s + 0.5, jerk_density=JERK)
-    ahead = last.position + 0.5 * last.velocity + last.mean[6:] / 8
-    np.testing.assert_allclose(later.position, ahead)
-    assert (np.diag(later.covariance) > np.diag(last.covariance)).all()
 
 
 def ratio_after(points: np.ndarray, times: np.ndarray) -> InnovationRatio:

@@ -5,7 +5,6 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import cast
 
 import numpy as np
 import pytest
@@ -17,12 +16,10 @@ from test_kinematics import shared_tilt
 from vergence import cli
 from vergence.accuracy import plan_information
 from vergence.accuracy import plan_source as command
-from vergence.accuracy.plan import Plan, choose, largest_readings, plan
+from vergence.accuracy.plan import Plan, choose, plan
 from vergence.accuracy.plan_information import gained, information, known_of, linearised_views
-from vergence.accuracy.plan_source import head_and_board
 from vergence.accuracy.plan_views import (
     MARGIN_PX,
-    Views,
     admissible_views,
     as_seen,
     shows_whole_board,
@@ -30,19 +27,16 @@ from vergence.accuracy.plan_views import (
 from vergence.accuracy.plan_workspace import largest_std, workspace
 from vergence.calibration.bundle_adjustment import bundle_adjust
 from vergence.calibration.observations import Observations
-from vergence.cli.accuracy_reports import plan_report
 from vergence.errors import VergenceError
-from vergence.geometry.board import Chessboard, corner_points
+from vergence.geometry.board import corner_points
 from vergence.geometry.camera import project
 from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration, pair_names, save_head
 from vergence.geometry.kinematics import EYES, Kinematics
 from vergence.geometry.parameters import parameter_names, without_offsets
 from vergence.geometry.projection import T_lbase_cam, project_point
-from vergence.geometry.se3 import inverse, pose, transform
-from vergence.progress import silent
+from vergence.geometry.se3 import inverse, transform
 from vergence.stereo.uncertainty import locate
-from vergence.viewer.plots import plan as picture
 
 PIXEL_PX, JOINT_RAD = 0.1, 2e-3
 NOISE = {"pixel_std_px": PIXEL_PX, "joint_std": JOINT_RAD}
@@ -87,13 +81,6 @@ def test_admissible_views_show_the_whole_board_before_both_main_cameras_within_t
     assert (T_cam_target[:, 2, 2] > 0.2).all()
     places = views.T_lbase_target.reshape(6, 4, 4, 4)
     np.testing.assert_array_equal(places, places[:, :1].repeat(4, axis=1))
-
-
-def test_a_board_behind_or_beside_the_head_is_not_held(truth):
-    views = admissible_views(truth, BOARD, LIMITS, np.random.default_rng(0), places=2, gazes=1)
-    behind = views.T_lbase_target.copy()
-    behind[:, 0, 3] *= -1
-    assert not shows_whole_board(truth, BOARD, replace(views, T_lbase_target=behind)).any()
 
 
 def test_a_board_is_held_whole_where_the_image_has_all_its_corners(truth):
@@ -169,11 +156,6 @@ def geared(kinematics: Kinematics, factor: float) -> Kinematics:
     return replace(kinematics, eyes=eyes)
 
 
-def test_joints_before_which_there_is_a_gear_turn_as_far_as_others(truth):
-    np.testing.assert_allclose(largest_readings(truth.kinematics, 0.1), np.full(4, 0.1))
-    assert largest_readings(geared(truth.kinematics, 0.01), 0.1) == pytest.approx(np.full(4, 10.0))
-
-
 def test_limits_of_each_reading_are_those_of_the_planned_readings(calibrated):
     head = replace(calibrated, kinematics=geared(calibrated.kinematics, 0.5))
     limits = 1.5 * LIMITS
@@ -217,18 +199,6 @@ def test_the_view_that_tells_what_points_need_is_chosen_first_and_others_are_exc
     assert sorted(choose(before, of_views, place, by_parameters, 2).tolist()) == [1, 2]
 
 
-def test_two_views_of_one_place_tell_more_than_the_place_costs(truth):
-    """A second direction of gaze at a board tells of the eyes what two boards cannot."""
-    views = admissible_views(truth, BOARD, LIMITS, np.random.default_rng(2), places=2, gazes=2)
-    estimate = bundle_adjust(truth, as_seen(truth, BOARD, views), **NOISE)
-    names = estimate.accuracy.parameters
-    linear = linearised_views(truth, BOARD, views, names, np.ones(len(names)))
-    N = information(linear, PIXEL_PX, np.full(4, JOINT_RAD))
-    apart, together = gained(N, np.arange(4)), gained(N, views.placement)
-    assert np.linalg.eigvalsh(together - apart)[0] > -1e-6 * np.abs(together).max()
-    assert np.trace(together) > np.trace(apart)
-
-
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(plan.__kwdefaults__, "candidates", (6, 3))
@@ -258,37 +228,6 @@ def test_the_command_prints_a_plan_and_writes_figure_and_json(
     middle = transform(T, np.array([4, 2.5, 0]) * BOARD.square_m)
     left_eye = inverse(calibrated.T_rbase_lbase)[:3, 3] / 2  # the head is midway
     np.testing.assert_allclose(first["board_centre_head_m"], middle - left_eye, atol=1e-12)
-
-
-def plan_of_one_view(head: HeadCalibration) -> Plan:
-    """Return a plan as far as it is shown."""
-    T_lbase_target = pose(t=[0.5, 0.0, 0.0])
-    found = SimpleNamespace(
-        head=head,
-        board=BOARD,
-        views=Views(T_lbase_target[None], np.full((1, 4), -1e-9), np.zeros(1, int)),
-        workspace=SimpleNamespace(points=np.array([[0.3, 0.1, 0.0], [1.0, -0.1, 0.1]])),
-        steps_m=np.array([1e-3]),
-        before_m=np.array([2e-3]),
-        after_m=np.array([1e-3]),
-    )
-    return cast("Plan", found)
-
-
-def test_an_angle_that_rounds_to_zero_has_no_sign(truth):
-    assert "| 0.0 0.0 0.0 0.0 " in plan_report(plan_of_one_view(truth)).summary()
-
-
-def test_the_legend_of_the_picture_stands_beside_the_maps(truth, tmp_path, monkeypatch):
-    drawn = []
-    monkeypatch.setattr(picture, "save", lambda canvas, path: drawn.append(canvas))
-    picture.save_plan(tmp_path / "p.png", plan_of_one_view(truth))
-    drawn[0].draw_without_rendering()
-    legends = [axes.get_legend() for axes in drawn[0].axes if axes.get_legend()]
-    assert len(legends) == 1
-    place = legends[0].get_window_extent()
-    assert drawn[0].bbox.contains(place.x1, place.y1)
-    assert not any(axes.get_window_extent().overlaps(place) for axes in drawn[0].axes)
 
 
 def test_a_dataset_is_calibrated_first_and_states_its_board(
@@ -364,12 +303,6 @@ def test_wrong_options_end_in_a_sentence(
     with pytest.raises(SystemExit, match="2"):
         run(monkeypatch, "plan", tmp_path / "head.json", *options)
     assert said in capsys.readouterr().err
-
-
-def test_a_board_of_unknown_size_has_squares_of_1(tmp_path: Path):
-    save_head(plain_head(0.08, 400), tmp_path / "head.json")
-    _, board = head_and_board(tmp_path / "head.json", (9, 6, 1.0), 0.3, silent)
-    assert board == Chessboard(columns=9, rows=6, square_m=1.0)
 
 
 @pytest.mark.parametrize("views", [0, 19])

@@ -14,7 +14,7 @@ from vergence.arrays import Array
 from vergence.demos import experiment
 from vergence.demos import track as module
 from vergence.demos.experiment import Experiment
-from vergence.demos.track import SPEED_M_S, _statistics, follow, smooth_path, track
+from vergence.demos.track import SPEED_M_S, follow, smooth_path, track
 from vergence.errors import VergenceError
 from vergence.gaze.commands import JointLimits
 from vergence.gaze.controller import run_gaze
@@ -40,14 +40,6 @@ def test_paths_keep_to_their_space_and_come_to_the_stated_speed(seed: int):
     assert np.abs(np.arctan2(points[:, 1], points[:, 0])).max() <= 0.3
     speeds = np.linalg.norm(np.diff(points, axis=0), axis=1) / (times[1] - times[0])
     assert speeds.max() == pytest.approx(SPEED_M_S, rel=0.02)
-
-
-def test_what_no_camera_sees_has_no_error():
-    """The wide images never show the object together; the track alone locates it."""
-    row = [0.0, 1.0, 3.0, 4.0, 1e-6, np.nan, np.nan]
-    found = _statistics(np.array([row, row]), 1.0, None)
-    assert found.position_rms_m == pytest.approx(1e-3)
-    assert (found.single_frame_rms_m, found.wide_rms_m) == (np.inf, np.inf)
 
 
 @pytest.mark.render
