@@ -57,12 +57,6 @@ def test_ranges_and_speeds_are_finite(end_rad: tuple[float, float], speed_rad_s:
         joint_limits({"left_pan": end_rad}, {"left_pan": speed_rad_s})
 
 
-@pytest.mark.parametrize("margin_rad", [-0.5, np.nan, np.inf])
-def test_the_margin_at_the_ends_of_the_ranges_is_a_distance(margin_rad: float):
-    with pytest.raises(VergenceError, match="margin_rad is 0 rad or more"):
-        JointLimits(margin_rad=margin_rad)
-
-
 @pytest.mark.parametrize("posture", [[0, 0, 0, np.nan, 0, 0, 0], np.zeros(4)])
 def test_what_is_no_posture_is_not_held(posture):
     with pytest.raises(VergenceError, match=r"7 angles neck_pitch.* all finite; found an array"):

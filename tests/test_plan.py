@@ -17,7 +17,7 @@ from vergence import cli
 from vergence.accuracy import plan_information
 from vergence.accuracy import plan_source as command
 from vergence.accuracy.plan import Plan, choose, plan
-from vergence.accuracy.plan_information import gained, information, known_of, linearised_views
+from vergence.accuracy.plan_information import known_of, total_information, view_information
 from vergence.accuracy.plan_views import (
     MARGIN_PX,
     admissible_views,
@@ -106,11 +106,11 @@ def test_views_of_a_large_board_are_linearised_in_parts(truth, monkeypatch):
     """Together their derivatives might take more memory than there is."""
     views = admissible_views(truth, BOARD, LIMITS, np.random.default_rng(1), places=3, gazes=2)
     names = parameter_names(truth)[:8]
-    together = linearised_views(truth, BOARD, views, names, np.ones(8))
+    noise = {"pixel_std_px": PIXEL_PX, "joint_stds": np.full((1, 4), JOINT_RAD)}
+    together = view_information(truth, BOARD, views, names, scale=np.ones(8), **noise)
     monkeypatch.setattr(plan_information, "CORNERS_AT_A_TIME", 2 * BOARD.columns * BOARD.rows)
-    in_parts = linearised_views(truth, BOARD, views, names, np.ones(8))
-    for name, value in vars(together).items():
-        np.testing.assert_allclose(getattr(in_parts, name), value, rtol=1e-9, atol=1e-6)
+    in_parts = view_information(truth, BOARD, views, names, scale=np.ones(8), **noise)
+    np.testing.assert_allclose(in_parts, together, rtol=1e-9, atol=1e-6)
 
 
 @pytest.mark.parametrize("kinematics", [None, shared_tilt()], ids=["pan-tilt", "shared tilt"])
@@ -122,8 +122,9 @@ def test_the_information_of_views_is_that_of_bundle_adjustment(truth, kinematics
     estimate = bundle_adjust(head, as_seen(head, BOARD, views), **NOISE)
     names = estimate.accuracy.parameters
     scale = np.sqrt(np.diag(estimate.accuracy.covariance))
-    linear = linearised_views(head, BOARD, views, names, scale)
-    N = gained(information(linear, PIXEL_PX, np.full(len(limits), JOINT_RAD)), views.placement)
+    noise = {"pixel_std_px": PIXEL_PX, "joint_stds": np.full((1, len(limits)), JOINT_RAD)}
+    of_views = view_information(head, BOARD, views, names, scale=scale, **noise)[0]
+    N = total_information(of_views, views.placement)
     correlation = estimate.accuracy.covariance / np.outer(scale, scale)
     # Bundle adjustment adds the least systematic errors that it can tell from none.
     np.testing.assert_allclose(np.linalg.inv(N), correlation, atol=5e-3)

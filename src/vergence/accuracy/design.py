@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vergence.accuracy.plan_information import gained, information, linearised_views
+from vergence.accuracy.plan_information import total_information, view_information
 from vergence.accuracy.plan_views import MARGIN_PX, Views
 from vergence.accuracy.plan_workspace import point_by_parameters
 from vergence.arrays import Array
@@ -147,10 +147,18 @@ def sensitivity(
     names = tuple(name for name in parameter_names(head) if name not in fixed)
     by_names = point_by_parameters(head, WIDE, points, joints)[..., named_columns(head, names)]
     views = standard_recording(head, board)
-    linear = linearised_views(head, board, views, names, np.ones(len(names)))
+    information = view_information(
+        head,
+        board,
+        views,
+        names,
+        scale=np.ones(len(names)),
+        pixel_std_px=corner_std_px,
+        joint_stds=np.repeat(joint_std_rad[:, None], 4, axis=1),
+    )
     calibration = []
-    for std in joint_std_rad:
-        total = gained(information(linear, corner_std_px, np.full(4, std)), views.placement)
+    for of_views in information:
+        total = total_information(of_views, views.placement)
         scale = 1 / np.sqrt(np.diag(total))
         L = np.linalg.cholesky(np.linalg.inv(total * np.outer(scale, scale)))
         calibration.append(VIEWS * ((by_names @ (scale[:, None] * L)) ** 2).sum(axis=(1, 2)))

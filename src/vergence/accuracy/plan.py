@@ -13,11 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence.accuracy.plan_information import (
-    gained,
-    information,
     known_of,
-    linearised_views,
-    without_place,
+    marginalise_place,
+    total_information,
+    view_information,
 )
 from vergence.accuracy.plan_views import Views, admissible_views
 from vergence.accuracy.plan_workspace import WorkspacePoints, largest_std, workspace
@@ -108,15 +107,22 @@ def plan(
             f"In {len(tried.placement)} of the candidates the board is seen, fewer than the "
             f"{views} views to plan: try more candidates."
         )
-    linear = linearised_views(head, board, tried, known.names, known.scale)
     pixel_px = float(np.sqrt(np.mean(pixel_stds(head, None) ** 2)))
-    N = information(linear, pixel_px or LEAST_PX, reading_stds(head))
+    (N,) = view_information(
+        head,
+        board,
+        tried,
+        known.names,
+        scale=known.scale,
+        pixel_std_px=pixel_px or LEAST_PX,
+        joint_stds=reading_stds(head)[None],
+    )
     by_scaled = points.by_parameters * known.scale
     chosen = choose(known.information, N, tried.placement, by_scaled, views, progress)
     chosen = chosen[np.argsort(tried.placement[chosen], kind="stable")]
     taken = tried.take(chosen)
     steps = [
-        known.information + gained(N[chosen[: k + 1]], taken.placement[: k + 1])
+        known.information + total_information(N[chosen[: k + 1]], taken.placement[: k + 1])
         for k in range(views)
     ]
     covariances: Array = np.linalg.inv(np.array([known.information, *steps])).astype(float)
@@ -182,8 +188,8 @@ def _costs(
     np.add.at(at_place, place[chosen], of_views[chosen])
     used = np.unique(place[chosen])
     of_places = np.zeros((len(at_place), *before.shape))
-    of_places[used] = without_place(at_place[used]) if len(used) else 0.0
+    of_places[used] = marginalise_place(at_place[used]) if len(used) else 0.0
     rest = before + of_places.sum(axis=0) - of_places
-    together = rest[place] + without_place(at_place[place] + of_views)
+    together = rest[place] + marginalise_place(at_place[place] + of_views)
     std = largest_std(by_parameters, np.linalg.inv(together))
     return (std**POWER).mean(axis=-1)

@@ -1,8 +1,8 @@
-"""What views of a board tell about a head: the information of bundle adjustment, view by view.
+"""Information of views of a board about a head: that of bundle adjustment, view by view.
 
-Bundle adjustment's own derivatives, at the calibrated head and at corners as such views would show
-them. The latent readings of each eye are eliminated at once, since they belong to one view; the
-place of the board only after it is known which views share it.
+The derivatives are those of bundle adjustment, at the calibrated head and at corners as such views
+would show them. The latent readings of each eye belong to one view and are marginalised at once;
+the place of the board only when it is known which views share it.
 """
 
 from __future__ import annotations
@@ -21,33 +21,30 @@ from vergence.geometry.parameter_names import POSE
 from vergence.geometry.parameters import parameter_names
 
 LEAST_JOINT_STD = 1e-6
-"""Least noise of a reading [rad]: a calibration may call joints exact."""
+"""Minimum noise of a reading [rad], for a calibration that states exact joints."""
 CORNERS_AT_A_TIME = 20_000
-"""Corners of views that are linearised together: their derivatives take some 50 MB for each camera,
-where all views of a board of 10,000 corners would take gigabytes."""
+"""Number of corners that are linearised together: their derivatives take 50 MB for each camera, and
+those of all views of a board of 10,000 corners gigabytes."""
 
 OF_READINGS = "A plan says which joint readings to take;"
 
 _FIXED = 1e-12
-"""Variance of a combination, relative to its parameters', below which it does not change."""
+"""Variance of a combination, relative to that of its parameters, below which it is fixed."""
 
 
 @dataclass(frozen=True, eq=False)
 class Knowledge:
-    """What is known of the p parameters of a head that its calibration estimates.
-
-    In units of `scale`, their standard deviations before the planned views.
-    """
+    """Information of a calibration about its p estimated parameters, in units of `scale`."""
 
     names: tuple[str, ...]
     scale: Array
-    """(p,)."""
+    """(p,) standard deviations before the planned views."""
     information: Array
     """(p, p)."""
 
 
 def known_of(head: HeadCalibration) -> Knowledge:
-    """Return what a calibration states; VergenceError if it states no covariance or no noise."""
+    """Invert the covariance of a calibration; VergenceError if it states no covariance."""
     check_states_covariance(head)
     accuracy = head.accuracy
     assert accuracy is not None
@@ -60,102 +57,89 @@ def known_of(head: HeadCalibration) -> Knowledge:
     return Knowledge(accuracy.parameters, scale, information)
 
 
-@dataclass(frozen=True, eq=False)
-class LinearViews:
-    """V views linearised: J^T J of their corners in pixels, and the B postures of their eyes.
+def view_information(
+    head: HeadCalibration,
+    board: Board,
+    views: Views,
+    names: tuple[str, ...],
+    *,
+    scale: Array,
+    pixel_std_px: float,
+    joint_stds: Array,
+) -> Array:
+    """Compute the information of V views about the head and the board's place.
 
-    The unknowns of a view are p parameters of the head, in given units, and the 6 of the board's
-    place [rad, m]; and n latent readings of each block.
-    """
+    Args:
+        head: at which the views are linearised.
+        board: in the views.
+        views: of whole boards, without noise.
+        names: of the p parameters of the head that are estimated.
+        scale: (p,) their units.
+        pixel_std_px: noise of one coordinate of a corner.
+        joint_stds: (S, r) levels of the noise of the readings [rad].
 
-    whole: Array
-    """(V, p + 6, p + 6)."""
-    across: Array
-    """(B, p + 6, n)."""
-    latent: Array
-    """(B, n, n)."""
-    columns: np.ndarray
-    """(B, n) which reading of the head each latent one is."""
-    view: np.ndarray
-    """(B,) to which view a block belongs."""
-
-
-def linearised_views(
-    head: HeadCalibration, board: Board, views: Views, names: tuple[str, ...], scale: Array
-) -> LinearViews:
-    """Return views of a board, linearised at the head and at corners without noise.
-
-    The p parameters that are estimated have names, and units `scale` (p,).
+    Returns:
+        (S, V, p + 6, p + 6), with the board's place [rad, m] last.
     """
     at_a_time = max(1, CORNERS_AT_A_TIME // (board.columns * board.rows))
-    starts = range(0, len(views.placement), at_a_time)
-    parts = [
-        _linearised_part(head, board, views.take(np.s_[start : start + at_a_time]), names, scale)
-        for start in starts
-    ]
-    whole, across, latent, columns = (
-        np.concatenate([getattr(part, name) for part in parts])
-        for name in ("whole", "across", "latent", "columns")
-    )
-    view = [part.view + start for part, start in zip(parts, starts, strict=True)]
-    return LinearViews(whole, across, latent, columns, np.concatenate(view))
+    unit, parts = np.append(scale, np.ones(len(POSE))), []
+    for start in range(0, len(views.placement), at_a_time):
+        part = views.take(np.s_[start : start + at_a_time])
+        part = Views(part.T_lbase_target, part.joints, np.arange(len(part.placement)))
+        parts.append(_part_information(head, board, part, names, pixel_std_px, joint_stds))
+    return np.concatenate(parts, axis=1) * np.outer(unit, unit)
 
 
-def _linearised_part(
-    head: HeadCalibration, board: Board, views: Views, names: tuple[str, ...], scale: Array
-) -> LinearViews:
-    apart = Views(views.T_lbase_target, views.joints, np.arange(len(views.placement)))
-    fixed = set(parameter_names(head)) - set(names)
+def _part_information(
+    head: HeadCalibration,
+    board: Board,
+    views: Views,
+    names: tuple[str, ...],
+    pixel_std_px: float,
+    joint_stds: Array,
+) -> Array:
+    everything = parameter_names(head)
     problem = bundle_problem(
-        head, as_seen(head, board, apart), fixed=fixed, T_cam_target=T_cam_target(head, apart)
+        head,
+        as_seen(head, board, views),
+        fixed=set(everything) - set(names),
+        T_cam_target=T_cam_target(head, views),
     )
     rows, postures = problem.measured.rows(problem.start), problem.readings.postures
     assert rows.by_latent is not None
     J, L, index = rows.by_shared, rows.by_latent, rows.columns
-    c, (B, n), V = len(parameter_names(head)), postures.reading.shape, len(views.placement)
+    c, (B, n), V = len(everything), postures.reading.shape, len(views.placement)
     # Each view's place has the same six columns after those of the head; the board's size is known.
     of_size = index == problem.start.size - 1
     index = np.where(of_size, 0, np.where(index < c, index, c + (index - c) % len(POSE)))
     J = np.where(of_size[:, None], 0.0, J)
     J_T = np.swapaxes(J, 1, 2)
     block, angle = problem.measured.detections.posture[:, None, None], np.arange(n)
-    view = postures.view[block]
-    row, column = index[:, :, None], index[:, None, :]
-    size = c + len(POSE)
-    whole = scatter_add(J_T @ J, (view, row, column), (V, size, size))
+    row, column, size = index[:, :, None], index[:, None, :], c + len(POSE)
+    by_view = scatter_add(J_T @ J, (postures.view[block], row, column), (V, size, size))
     across = scatter_add(J_T @ L, (block, row, angle), (B, size, n))
     latent = scatter_add(np.swapaxes(L, 1, 2) @ L, (block, angle[:, None], angle), (B, n, n))
-    known = {name: k for k, name in enumerate(parameter_names(head))}
-    kept = np.array([known[name] for name in names] + [*range(c, c + len(POSE))])
-    unit = np.append(scale, np.ones(len(POSE)))
-    whole = whole[:, kept[:, None], kept] * np.outer(unit, unit)
-    across = across[:, kept] * unit[:, None]
-    return LinearViews(whole, across, latent, postures.columns, postures.view)
+    kept = np.array([everything.index(name) for name in names] + [*range(c, size)])
+    by_view, across = by_view[:, kept[:, None], kept], across[:, kept]
+    found = np.repeat(by_view[None], len(joint_stds), axis=0)
+    for information, stds in zip(found, joint_stds, strict=True):
+        # In pixels: J^T J - J^T L (L^T L + s^2 / j^2)^-1 L^T J.
+        ratio = pixel_std_px / np.maximum(stds[postures.columns], LEAST_JOINT_STD)
+        tied = latent + np.eye(n) * (ratio**2)[:, None]
+        lost = across @ np.linalg.solve(tied, np.swapaxes(across, 1, 2))
+        np.subtract.at(information, postures.view, lost)
+    return found / pixel_std_px**2
 
 
-def information(linear: LinearViews, pixel_std_px: float, joint_std_rad: Array) -> Array:
-    """Return each view's information (V, p + 6, p + 6) about the head and the board's place.
-
-    The noise is that of one coordinate of a corner, and of the readings (r,) of the head.
-    """
-    joint = np.maximum(joint_std_rad[linear.columns], LEAST_JOINT_STD)
-    # In pixels: (J^T J - J^T L (L^T L + s^2 / j^2)^-1 L^T J) / s^2.
-    tied = linear.latent + np.eye(joint.shape[1]) * ((pixel_std_px / joint) ** 2)[:, None]
-    taken = linear.across @ np.linalg.solve(tied, np.swapaxes(linear.across, 1, 2))
-    left = linear.whole.copy()
-    np.subtract.at(left, linear.view, taken)
-    return left / pixel_std_px**2
-
-
-def without_place(information: Array) -> Array:
-    """Return (..., p, p) what is left on the head of (..., p + 6, p + 6), the place eliminated."""
+def marginalise_place(information: Array) -> Array:
+    """Marginalise the board's place of (..., p + 6, p + 6) information: (..., p, p)."""
     head, place = slice(None, -len(POSE)), slice(-len(POSE), None)
     across = information[..., place, head]
-    rest = np.linalg.solve(information[..., place, place], across)
-    return information[..., head, head] - np.swapaxes(across, -1, -2) @ rest
+    lost = np.linalg.solve(information[..., place, place], across)
+    return information[..., head, head] - np.swapaxes(across, -1, -2) @ lost
 
 
-def gained(of_views: Array, place: np.ndarray) -> Array:
-    """Return (p, p) what views (V, p + 6, p + 6) at places (V,) together tell of the head."""
+def total_information(of_views: Array, place: np.ndarray) -> Array:
+    """Add up the information (p, p) of views (V, p + 6, p + 6) at places (V,) about the head."""
     of_places = [of_views[place == each].sum(axis=0) for each in np.unique(place)]
-    return without_place(np.array(of_places)).sum(axis=0)
+    return marginalise_place(np.array(of_places)).sum(axis=0)

@@ -60,8 +60,6 @@ class JointLimits:
                 f"The joints {', '.join(self.joints)} need ranges ({j}, 2) and speeds ({j},), "
                 f"found {shapes[0]} and {shapes[1]}; see `joint_limits`."
             )
-        if not 0 <= self.margin_rad < np.inf:
-            raise VergenceError(f"margin_rad is 0 rad or more, found {self.margin_rad:g} rad.")
         for name, (lower, upper), speed in zip(
             self.joints, self.range_rad, self.speed_rad_s, strict=True
         ):
@@ -84,22 +82,16 @@ def joint_limits(
     *,
     joints: Sequence[str] = HEAD_JOINTS,
 ) -> JointLimits:
-    """Make limits from ranges and maximum speeds by joint; joints without them stay at zero.
+    """Make limits from the ranges and maximum speeds of some joints; the others stay at zero.
 
-    Args:
-        range_rad: lower and upper end by the name of the joint.
-        speed_rad_s: maximum speed of the same joints.
-        joints: all joints of a posture: the neck's, then the readings of the eyes.
-
-    Raises:
-        VergenceError: a joint is unknown, lacks its range or speed, or has an invalid one.
+    `joints` are all joints of a posture: the neck's, then the readings of the eyes. Raises
+    VergenceError for a joint that is unknown, or without a valid range and speed.
     """
     for name in {**range_rad, **speed_rad_s}:
         if name not in joints:
             raise VergenceError(f"No joint is called {name!r}; there are {', '.join(joints)}.")
         if name not in range_rad or name not in speed_rad_s:
-            missing = "range" if name in speed_rad_s else "speed"
-            raise VergenceError(f"The joint {name} has no {missing}; both are needed.")
+            raise VergenceError(f"The joint {name} needs both a range and a speed.")
     return JointLimits(
         np.array([range_rad.get(name, (0.0, 0.0)) for name in joints], float),
         np.array([speed_rad_s.get(name, 1.0) for name in joints], float),

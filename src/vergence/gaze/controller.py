@@ -38,7 +38,6 @@ from vergence.gaze.kalman import Track
 from vergence.gaze.observation import (
     Rays,
     aim_at_assumed_depth,
-    check_times,
     detect_object,
     is_central,
     measure_object,
@@ -106,15 +105,13 @@ def step_gaze(
         now_s: time from which the command can take effect, not before the frame's time stamp.
 
     Raises:
-        VergenceError: the frame is not one of this head, as `observation.detect_object` states, or
-            its time stamps are not finite or not of the clock of now_s.
+        VergenceError: the frame is not one of this head and its clock.
     """
     if frame is None or frame.time_s <= state.frame_s:
         if not isinstance(state.target, str):
             return state  # a given point needs no images
         return _wait_or_search(settings, state, now_s)
-    check_times(frame, now_s)
-    state = detect_object(settings, state, frame)
+    state = detect_object(settings, state, frame, now_s)
     if frame.time_s < state.landing_s:
         return replace(state, cameras=settings.cameras)
     posture = posture_at_image(settings, state, frame)
@@ -179,7 +176,8 @@ def _turn_neck(settings: GazeSettings, state: GazeState, eyes: Array, now_s: flo
     if not np.isfinite(turns).all():
         return state
     _, tilt, pan = np.mean(turns, axis=0)
-    away = np.where(_has_joint(settings), [tilt, 0.0, pan], 0.0)  # pitch, roll, yaw
+    calibrated = np.isin(NECK_JOINTS, settings.calibration.neck.names)
+    away = np.where(calibrated, [tilt, 0.0, pan], 0.0)  # pitch, roll, yaw
     start_rad, stop_rad = settings.comfort_rad
     turning = bool(np.abs(away).max() > (stop_rad if state.neck_turning else start_rad))
     top = settings.neck_speed_rad_s
@@ -194,11 +192,6 @@ def _turn_neck(settings: GazeSettings, state: GazeState, eyes: Array, now_s: flo
     blocked = np.isin(settings.joints[NECK], state.stuck)
     blocked |= ((at >= upper) & (rate > 0)) | ((at <= lower) & (rate < 0))
     return replace(state, neck_turning=turning, neck_rate=np.where(blocked, 0.0, rate))
-
-
-def _has_joint(settings: GazeSettings) -> np.ndarray:
-    """Test which of the NECK_JOINTS (3,) the calibrated neck has."""
-    return np.isin(NECK_JOINTS, settings.calibration.neck.names)
 
 
 def _move_eyes(
@@ -231,19 +224,10 @@ def _move_eyes(
         np.concatenate([state.neck_rate, rate]),
         settings.limits,
     )
-    narrow_suffices = (
-        not on_point
-        and phase is not GazePhase.SACCADE
-        and state.geometry is None
-        and all(
-            is_central(
-                settings.calibration.camera(name).intrinsics,
-                state.pixels[name],
-                settings.central_share,
-            )
-            for name in settings.narrow
-        )
-    )
+    narrow_suffices = phase is not GazePhase.SACCADE and state.geometry is None and not on_point
+    for name in settings.narrow if narrow_suffices else ():
+        lens = settings.calibration.camera(name).intrinsics
+        narrow_suffices &= is_central(lens, state.pixels[name], settings.central_share)
     return _send(
         state,
         command,
@@ -305,7 +289,7 @@ def _wait_or_search(settings: GazeSettings, state: GazeState, now_s: float) -> G
     if now_s < state.since_s + settings.search_s or now_s < state.landing_s + settings.dwell_s:
         return state
     pan, tilt = _SEARCH_RAD[state.searched % len(_SEARCH_RAD)]
-    turns = settings.use_neck & _has_joint(settings)
+    turns = np.isin(NECK_JOINTS, settings.calibration.neck.names if settings.use_neck else ())
     neck = np.where(turns, [0.0, 0.0, pan], at[NECK])
     eyes = readings_to_turn(settings.calibration.kinematics, np.array([0.0, tilt, pan]))
     goal = np.concatenate([neck, eyes])

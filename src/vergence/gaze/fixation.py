@@ -1,4 +1,4 @@
-"""The readings at which eyes fixate points: the inverse of their kinematics."""
+"""Inverse kinematics of the eyes: the readings at which they fixate points."""
 
 from __future__ import annotations
 
@@ -20,32 +20,35 @@ from vergence.geometry.kinematics import (
 from vergence.geometry.projection import projected
 
 _UNIT_LENS = pinhole(1, 1, 1.0)  # its pixels are x/z and y/z
-_NEWTON_STEPS = 20
-_CONVERGED = 1e-8  # of x/z and y/z, and of a joint: the next step of Newton's method squares it
-_LARGEST_STEP_RAD = 0.5  # of a joint
-_COMPROMISE = 0.1  # of x/z and y/z, where eyes that share a joint cannot both be centred
+_MAX_STEPS = 20
+"""Maximum number of Gauss-Newton steps; most points need four."""
+_CONVERGED = 1e-8
+"""Error of x/z and y/z, and step of a joint [rad], at convergence: one more step squares it."""
+_LARGEST_STEP_RAD = 0.5
+"""Maximum step of a joint [rad], within which the projection is nearly linear."""
+_COMPROMISE = 0.1
+"""Maximum error of x/z and y/z where eyes that share a joint cannot both be centred."""
 
 
 def solve_fixation(
     calibration: HeadCalibration, targets: Mapping[str, Array], *, limits_rad: Array | None = None
 ) -> Array:
-    """Return the readings (..., r) [rad] that centre a point in each of some cameras.
+    """Compute the readings (..., r) [rad] that centre a point in each of some cameras.
 
-    Gauss-Newton on all axes at once, to machine precision, with the joints' imperfections and with
-    the cameras off their rotation centres. Where eyes share a joint and cannot both be centred, the
-    sum of squares is least.
+    Gauss-Newton iteration to machine precision, with the joints' imperfections and with the cameras
+    off their rotation centres. Eyes that share a joint minimise the sum of their squared errors.
 
     Args:
         calibration: of the head.
         targets: by camera, points (..., 3) [m] in the base frame of its eye, to be centred on the
             principal point, so that the lens does not matter.
         limits_rad: (r,) the largest readings to either side, within which the points are centred
-            as nearly as may be; None: the joints turn as far as it takes.
+            as nearly as possible; None: no limits.
 
     Returns:
         Readings in the order of kinematics.readings; NaN for those that move no eye of these
-        cameras, and where no posture centres the points: one is NaN, on the pan axis, or closer
-        than the camera.
+        cameras, and for points that no posture centres: NaN, on the pan axis, or closer than the
+        camera.
 
     Raises:
         VergenceError: the head has no such camera.
@@ -70,7 +73,7 @@ def _centre(
     used: list[int],
     limits: Array,
 ) -> Array:
-    """Return the readings (..., u) that centre the points in the cameras of one or both eyes."""
+    """Compute the readings (..., u) of one eye, or of two that share a joint."""
     kinematics, points, cameras = calibration.kinematics, {}, {}
     usable, turns, maps = np.asarray(True), [], []
     for name, p in targets.items():
@@ -88,7 +91,7 @@ def _centre(
     readings[..., used] = least_readings(np.concatenate(maps), np.concatenate(turns, axis=-1))
     reached = _CONVERGED if 2 * len(targets) <= len(used) else _COMPROMISE
     settled, front = np.zeros(usable.shape, dtype=bool), usable
-    for _ in range(_NEWTON_STEPS):
+    for _ in range(_MAX_STEPS):
         found = [_off_centre(kinematics, cameras[name], readings, p) for name, p in points.items()]
         errors, jacobians, fronts = zip(*found, strict=True)
         error = np.concatenate(errors, axis=-1)
@@ -117,10 +120,10 @@ def _gauss_newton(J: Array, error: Array) -> Array:
 def _off_centre(
     kinematics: Kinematics, mounted: MountedCamera, readings: Array, p: Array
 ) -> tuple[Array, Array, np.ndarray]:
-    """Return x/z and y/z (..., 2) of points in a camera, and derivatives (..., 2, r) by readings.
+    """Project points in an eye's base to x/z and y/z (..., 2), with derivatives (..., 2, r).
 
-    Both are zero for points that are not in front of it, which the last result (..., 1) says. The
-    camera has _UNIT_LENS, and the points are in the base of its eye.
+    Both are zero for points behind the camera; the last result (..., 1) is whether they are before
+    it. The camera has _UNIT_LENS.
     """
     eye = eye_motion(kinematics, mounted.eye, readings, errors=False)
     # The identity in place of T_rbase_lbase: the points are in this base already.

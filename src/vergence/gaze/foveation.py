@@ -1,11 +1,9 @@
-"""Foveation: where in the wide image a point must be to fall on the fovea (Sec. III, Eqs. 13-19).
+"""Foveation: the wide pixel of a point that falls on the fovea (Sec. III, Eqs. 13-19).
 
-The paper's foveal camera is called `narrow` here and its peripheral one `wide`; R_fp, t_fp are
-`head.T_narrow_wide`, the pose of the wide camera in the narrow one. The paper subtracts the
-principal points and omits distortion; pixels here are image coordinates that include both. The
-formulas use the inverse depth, so that an infinite depth needs no special case.
-
-Equation numbers are the paper's; see docs/equations.md and docs/conventions.md.
+The paper's foveal camera is `narrow` here, its peripheral one `wide`, and R_fp, t_fp are
+`head.T_narrow_wide`, the pose of the wide camera in the narrow one. The paper subtracts principal
+points and omits distortion; pixels here include both. The formulas use the inverse depth, so that
+an infinite depth needs no special case. See docs/equations.md and docs/conventions.md.
 """
 
 from __future__ import annotations
@@ -53,12 +51,12 @@ def ideal_wide_pixel(
     *,
     cameras: EyeCameras | None = None,
 ) -> Array:
-    """Eqs. 18-19: return the wide pixels (..., 2) of points on the narrow camera's axis.
+    """Eqs. 18-19: project points on the narrow camera's axis to wide pixels (..., 2).
 
-    A point at such a wide pixel falls on the principal point of the narrow image, whatever the
-    narrow camera's intrinsic parameters. The depths (...) [m] are along its axis; infinity gives
-    the limit. The cameras are those of the eye that play the roles; None: those that are called so.
-    VergenceError if a depth is not above 0, or the eye does not have both cameras.
+    A point at such a wide pixel falls on the principal point of the narrow image, whatever its
+    intrinsic parameters. The depths (...) [m] are along the narrow camera's axis; infinity gives
+    the limit. None: the eye's cameras by their default names. Raises VergenceError if a depth is
+    not above 0, or the eye does not have both cameras.
     """
     names = cameras or EyeCameras(wide=f"{eye}_wide", narrow=f"{eye}_narrow")
     wide, narrow = calibration.camera(names.wide), calibration.camera(names.narrow)
@@ -78,18 +76,10 @@ def ideal_wide_pixel(
 def foveal_miss(
     calibration: HeadCalibration, eye: Side, depth_m: ArrayLike, believed_m: ArrayLike
 ) -> Array:
-    """Return the offset (..., 2) [px] of a point from the narrow image's principal point.
+    """Compute the offset (..., 2) [px] from the fovea's principal point by a wrong depth.
 
-    The point is at the wide pixel that Eqs. 18-19 give for a wrong depth.
-
-    Args:
-        calibration: of the head, taken as exact.
-        eye: which eye.
-        depth_m: (...) true depth of the point along the wide camera's axis.
-        believed_m: (...) depth that Eqs. 18-19 are given, along the narrow camera's axis.
-
-    Raises:
-        VergenceError: a depth is not above 0, or the eye does not have both cameras.
+    The point is at the wide pixel of Eqs. 18-19 for the believed depth (...) [m] along the narrow
+    camera's axis; its true depth (...) [m] is along the wide camera's axis.
     """
     wide, narrow = (calibration.camera(f"{eye}_{lens}").intrinsics for lens in ("wide", "narrow"))
     ray = unproject(wide, ideal_wide_pixel(calibration, eye, believed_m))
@@ -102,17 +92,16 @@ def foveal_miss(
 def gaze_angles(
     calibration: HeadCalibration, points_lbase: Array, *, cameras: Sequence[str] | None = None
 ) -> Array:
-    """Return the readings (..., r) [rad] that centre points in both eyes: version and vergence.
+    """Compute the readings (..., r) [rad] that centre points in both eyes: version and vergence.
 
     Args:
         calibration: of the head.
-        points_lbase: (..., 3) [m] in the left eye's base frame; they are centred on the principal
-            points.
-        cameras: names of the cameras in which they are centred, at most one of each eye; None:
-            the narrow ones, or for an eye without such a camera its main one.
+        points_lbase: (..., 3) [m] in the left eye's base frame.
+        cameras: names of the cameras in which they are centred on the principal point, at most one
+            of each eye; None: the narrow ones, or an eye's main one.
 
     Returns:
-        Joint readings, as those of `solve_fixation`.
+        Readings as of `solve_fixation`.
 
     Raises:
         VergenceError: the head has no such camera, or points are not (..., 3).

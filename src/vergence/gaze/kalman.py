@@ -1,15 +1,15 @@
-"""A moving point, fused over time: a Kalman filter of position, velocity and acceleration.
+"""Track a moving point by a Kalman filter of position, velocity and acceleration.
 
-All quantities are in one fixed frame, and each measurement brings its own covariance (see
-`uncertainty.locate`), which in stereo is long along the line of sight. Between
-measurements the acceleration changes by white noise in the jerk.
+All quantities are in one fixed frame, and each measurement brings its own covariance, which in
+stereo is long along the line of sight. Between measurements the acceleration changes by white noise
+in the jerk.
 
 A stated covariance describes the total error of a measurement. The part that differs from frame to
 frame can be far smaller: an error of the calibration, or of a joint's gain, is nearly the same in
 all frames, and no filter removes it. If it were taken for noise, the filter would trust its own
-prediction too much and lag behind the point. The ratio of the observed to the stated variance is
-therefore estimated from the measurements themselves (`InnovationRatio`): each is compared with
-the parabola through the three before it, which follows any smooth motion.
+prediction too much and lag behind the point. `InnovationRatio` therefore estimates the ratio of the
+observed to the stated variance: each measurement is compared with the parabola through the three
+before it, which follows any smooth motion.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ import numpy as np
 from vergence.arrays import Array
 
 GATE_CHI2 = 60.0
-"""Normalised innovation squared from which a measurement begins a new track; its mean is 3."""
+"""Normalised innovation squared above which a measurement starts a new track; its mean is 3."""
 _MEMORY = 90
-"""Measurements over which the innovation ratio is averaged: three seconds at 30 Hz."""
+"""Number of measurements over which the innovation ratio is averaged: 3 s at 30 Hz."""
 _PRIOR_COUNT = 5.0
-"""Weight of the prior that the ratio is 1, in measurements."""
+"""Weight of the prior ratio 1 [measurements]."""
 _PARABOLA_S = 0.2
-"""Longest time over which a parabola is trusted to follow a motion."""
+"""Maximum time over which a parabola follows a motion [s]."""
 
 
 @dataclass(frozen=True)
 class MotionModel:
-    """How a point that is tracked usually moves."""
+    """Prior of the motion of a tracked point."""
 
     jerk_density: float = 1.0
-    """Spectral density of the jerk [m^2/s^5]: in a second the acceleration changes by the root of
-    it. By 1 m/s^2 a point that moves at 0.3 m/s turns round in 0.6 s; less would lag behind."""
+    """Spectral density of the jerk [m^2/s^5]. By default the acceleration changes by 1 m/s^2 in a
+    second, enough for a point at 0.3 m/s to turn round in 0.6 s."""
     speed_std_m_s: float = 0.3
     """Prior standard deviation of each component of the velocity."""
     acceleration_std_m_s2: float = 1.0
@@ -65,7 +65,7 @@ class Track:
 
 
 def begin(time_s: float, point: Array, covariance: Array, motion: MotionModel) -> Track:
-    """Return a track from its first measurement, (3,) [m] with covariance (3, 3) [m^2]."""
+    """Start a track from its first measurement, (3,) [m] with covariance (3, 3) [m^2]."""
     prior = [0.0, motion.speed_std_m_s**2, motion.acceleration_std_m_s2**2]
     P = np.diag(np.repeat(prior, 3))
     P[:3, :3] = covariance
@@ -73,7 +73,7 @@ def begin(time_s: float, point: Array, covariance: Array, motion: MotionModel) -
 
 
 def predict(track: Track, time_s: float, *, jerk_density: float) -> Track:
-    """Return the track at a later time, for a jerk of this spectral density [m^2/s^5]."""
+    """Predict a track to a later time, for a jerk of this spectral density [m^2/s^5]."""
     dt = time_s - track.time_s
     motion = np.array([[1, dt, dt**2 / 2], [0, 1, dt], [0, 0, 1]])
     growth = jerk_density * np.array(
@@ -88,16 +88,13 @@ def predict(track: Track, time_s: float, *, jerk_density: float) -> Track:
 
 
 def nis(track: Track, point: Array, covariance: Array) -> float:
-    """Return the normalised innovation squared of a measurement at the track's time.
-
-    The measurement is (3,) [m] with covariance (3, 3) [m^2]; the result is chi-squared, mean 3.
-    """
+    """Compute the normalised innovation squared of a measurement (3,) [m], covariance (3, 3)."""
     innovation = point - track.position
     return float(innovation @ np.linalg.solve(track.covariance[:3, :3] + covariance, innovation))
 
 
 def update(track: Track, point: Array, covariance: Array) -> Track:
-    """Return the track after a measurement (3,) [m], covariance (3, 3) [m^2], at its time."""
+    """Update a track by a measurement (3,) [m], covariance (3, 3) [m^2], at its time."""
     P = track.covariance
     gain = np.linalg.solve(P[:3, :3] + covariance, P[:3]).T  # P H^T S^-1, with S symmetric
     keep = np.eye(9)
@@ -117,16 +114,10 @@ def fuse(
     gate_chi2: float = GATE_CHI2,
     innovation_ratio: float = 1.0,
 ) -> Track:
-    """Return the track after a measurement; a new one where the measurement fails the gate.
+    """Predict and update a track; start a new one if there is none or the gate rejects.
 
-    Args:
-        track: at an earlier time; None: there is none yet.
-        time_s: time of the measurement.
-        point: (3,) [m].
-        covariance: (3, 3) [m^2], of its total error: the gate uses it as it is.
-        motion: of the point.
-        gate_chi2: greatest normalised innovation squared of a measurement of this track.
-        innovation_ratio: share of the covariance by which the measurement is weighed.
+    The measurement is a point (3,) [m] with the covariance (3, 3) [m^2] of its total error. The
+    gate uses this covariance, the update the covariance times the innovation ratio.
     """
     if track is not None:
         track = predict(track, time_s, jerk_density=motion.jerk_density)
@@ -140,29 +131,29 @@ class InnovationRatio:
     """Running estimate of the ratio of observed to stated variance; 1 before any measurement."""
 
     recent: tuple[tuple[float, Array], ...] = ()
-    """Up to three latest measurements: time [s] and point (3,) [m]."""
+    """Times [s] and points (3,) [m] of up to three latest measurements."""
     total: float = _PRIOR_COUNT
-    """Sum of the squared deviations, each relative to its stated variance, fading with age."""
+    """Fading sum of the squared deviations, each relative to its stated variance."""
     count: float = _PRIOR_COUNT
-    """Number of measurements in the sum, fading with age too."""
+    """Fading number of measurements in the sum."""
 
     @property
     def value(self) -> float:
-        """Observed variance from frame to frame, relative to the stated variance."""
+        """Observed variance from frame to frame over the stated variance."""
         return self.total / self.count
 
 
 def update_ratio(
     ratio: InnovationRatio, time_s: float, point: Array, covariance: Array
 ) -> InnovationRatio:
-    """Return the innovation ratio after a later measurement (3,) [m], covariance (3, 3) [m^2]."""
+    """Update the innovation ratio by a measurement (3,) [m], covariance (3, 3) [m^2]."""
     recent = (*ratio.recent, (time_s, point))[-3:]
     if len(ratio.recent) < 3 or time_s - ratio.recent[0][0] > _PARABOLA_S:
         return replace(ratio, recent=recent)
     times = np.array([time for time, _ in ratio.recent])
-    apart = times[:, None] - times + np.eye(3)  # the diagonal must not be zero
+    gaps_s = times[:, None] - times + np.eye(3)  # the diagonal must not be zero
     ahead = np.tile(time_s - times, (3, 1)) * (1 - np.eye(3)) + np.eye(3)
-    weights = np.prod(ahead / apart, axis=1)  # Lagrange's, to extrapolate the parabola
+    weights = np.prod(ahead / gaps_s, axis=1)  # Lagrange's, to extrapolate the parabola
     gap = point - weights @ np.array([past for _, past in ratio.recent])
     found = gap @ np.linalg.solve(covariance, gap) / (len(gap) * (1 + weights @ weights))
     fade = 1 - 1 / _MEMORY

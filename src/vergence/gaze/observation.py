@@ -33,28 +33,26 @@ _OLDEST_S = 10.0
 """Age of a frame above which its time stamp must be of another clock [s]."""
 
 
-def check_times(frame: Frame, now_s: float) -> None:
-    """Raise VergenceError unless the time stamps are finite and of the clock of now_s."""
-    image_s, joint_s = frame.time_s, frame.joint_time_s
-    late_s = now_s - image_s
-    if not (abs(image_s - joint_s) <= MAX_DELAY_S and -MAX_DELAY_S <= late_s <= _OLDEST_S):
-        raise VergenceError(
-            f"A frame of one clock is stamped at most {_OLDEST_S:g} s before the driver's now_s, "
-            f"images and joint readings at most {MAX_DELAY_S:g} s apart; found {image_s:.6f} s of "
-            f"the images and {joint_s:.6f} s of the readings, at {now_s:.6f} s."
-        )
-
-
-def detect_object(settings: GazeSettings, state: GazeState, frame: Frame) -> GazeState:
+def detect_object(
+    settings: GazeSettings, state: GazeState, frame: Frame, now_s: float
+) -> GazeState:
     """Detect the object in a new frame, and the joints that are stuck.
 
     Only requested images are searched. The wide image of an eye is searched if the narrow one does
     not show the object or if the geometry is seen by it. Nothing is searched for a given point.
 
     Raises:
-        VergenceError: the frame's readings or images are not those of the calibration, or the
-            detector returned something invalid.
+        VergenceError: the frame's readings, images or time stamps are not those of this head and
+            its clock, or the detector returned something invalid.
     """
+    late_s, apart_s = now_s - frame.time_s, abs(frame.time_s - frame.joint_time_s)
+    if not (apart_s <= MAX_DELAY_S and -MAX_DELAY_S <= late_s <= _OLDEST_S):
+        raise VergenceError(
+            f"A frame of one clock is stamped at most {_OLDEST_S:g} s before the driver's now_s, "
+            f"images and joint readings at most {MAX_DELAY_S:g} s apart; found "
+            f"{frame.time_s:.6f} s of the images and {frame.joint_time_s:.6f} s of the readings, "
+            f"at {now_s:.6f} s."
+        )
     readings = _readings(settings, frame)
     if frame.images and not set(frame.images) & set(settings.cameras):
         raise VergenceError(
@@ -68,8 +66,8 @@ def detect_object(settings: GazeSettings, state: GazeState, frame: Frame) -> Gaz
             continue
         eye = settings.calibration.camera(name).eye
         if best_view(settings, detections, eye) is None or settings.geometry == "seen":
-            detector, near = settings.objects[state.target], last_pixel(state.detections, name)
-            detections[name] = detect(settings, detector, frame, name, near, target=state.target)
+            detector, earlier = settings.objects[state.target], state.detections
+            detections[name] = detect(settings, detector, frame, name, earlier, target=state.target)
     views = [
         best_view(settings, found, eye)
         for found in (state.detections, detections)
@@ -93,20 +91,21 @@ def detect(
     detector: Detector,
     frame: Frame,
     camera: str,
-    near: Array | None,
+    earlier: Mapping[str, Detection | None],
     *,
     target: str,
 ) -> Detection | None:
-    """Run a detector on one image of a frame; `target` is its name in error messages.
+    """Run a detector on one image of a frame, near the earlier detection of that camera.
 
-    Raises VergenceError if the image does not have the calibration's size, or the detector returns
-    something else than a `Detector` does.
+    Raises VergenceError if the image does not have the calibration's size, or the detector of the
+    target returns something else than a `Detector` does.
     """
     image, intrinsics = frame.images[camera], settings.calibration.camera(camera).intrinsics
+    before = earlier.get(camera)
     if image is None:
         raise VergenceError(f"The image of {camera} is None; leave out cameras that gave none.")
     check_image_fits(camera, intrinsics, image.shape, whose="the frame's")
-    found = detector(image, intrinsics, near)
+    found = detector(image, intrinsics, None if before is None else before.pixel)
     if found is None:
         return None
     pixel = np.asarray(found.pixel) if isinstance(found, Detection) else np.empty(0)
@@ -116,12 +115,6 @@ def detect(
             f"coordinates and a standard deviation above 0; in {camera} it returned {found!r}."
         )
     return found
-
-
-def last_pixel(detections: Mapping[str, Detection | None], camera: str) -> Array | None:
-    """Return the pixel (2,) of a camera's latest detection; None: not found."""
-    found = detections.get(camera)
-    return None if found is None else found.pixel
 
 
 def _stuck_joints(

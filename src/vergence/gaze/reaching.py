@@ -26,7 +26,7 @@ from vergence.gaze.commands import EYE_READINGS, HeadDriver
 from vergence.gaze.controller import step_gaze
 from vergence.gaze.hand import HandCommand, HandDriver, HandReading, append_reading, hand_at
 from vergence.gaze.kalman import MotionModel, Track, fuse, predict
-from vergence.gaze.observation import detect, last_pixel, posture_at_image, update_track
+from vergence.gaze.observation import detect, posture_at_image, update_track
 from vergence.gaze.state import GazePhase, GazeSettings, GazeState, initial_gaze_state
 from vergence.geometry.head import T_body_base
 from vergence.geometry.se3 import transform
@@ -51,9 +51,6 @@ class ReachPhase(StrEnum):
     """The object is between the fingers with sufficient confidence; the fingers close."""
     HELD = "held"
     """The fingers are closed, and the eyes do not see the object elsewhere."""
-
-
-_CLOSING = (ReachPhase.CLOSE, ReachPhase.HELD)
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,7 +209,7 @@ def step_reach(
         now_s: time from which the commands can take effect.
 
     Raises:
-        VergenceError: the hand's reading is invalid; others are those of `step_gaze`.
+        VergenceError: the hand's reading or the frame is invalid.
     """
     before, gaze = state.gaze, step_gaze(settings.gaze, state.gaze, frame, now_s)
     state = replace(state, gaze=gaze, readings=append_reading(state.readings, reading))
@@ -234,12 +231,12 @@ def step_reach(
 
 def _detect_marker(settings: ReachSettings, state: ReachState, frame: Frame) -> ReachState:
     """Detect the marker in the requested images of a frame."""
-    gaze, detector = settings.gaze, settings.detect_marker
-    found = {}
-    for name in frame.images:
-        if name in state.cameras:
-            near = last_pixel(state.detections, name)
-            found[name] = detect(gaze, detector, frame, name, near, target="the hand's marker")
+    gaze, detector, earlier = settings.gaze, settings.detect_marker, state.detections
+    found = {
+        name: detect(gaze, detector, frame, name, earlier, target="the hand's marker")
+        for name in frame.images
+        if name in state.cameras
+    }
     return replace(state, detections=found)
 
 
@@ -298,15 +295,12 @@ def _detect_near_marker(
     target = state.gaze.target
     if camera in state.gaze.detections or not isinstance(target, str):
         return state.gaze.detections.get(camera)
-    detector, near = settings.gaze.objects[target], last_pixel(state.detections, camera)
-    return detect(settings.gaze, detector, frame, camera, near, target=target)
+    detector = settings.gaze.objects[target]
+    return detect(settings.gaze, detector, frame, camera, state.detections, target=target)
 
 
 def target_std_m(settings: ReachSettings, state: ReachState, target: Track) -> float:
-    """Compute the standard deviation [m] of the target in its worst direction.
-
-    It includes the systematic error of the present separation.
-    """
+    """Compute the target's largest standard deviation [m], with the systematic error."""
     variance = np.linalg.eigvalsh(target.covariance[:3, :3])[-1]
     return float(np.hypot(np.sqrt(variance), settings.relative_error * state.separation_m))
 
@@ -344,7 +338,7 @@ def _command(
     """Command the hand: to the target, to the standoff below the object, or home."""
     goal, velocity = settings.home, np.zeros(3)
     below = settings.standoff_m * settings.approach
-    closes = state.phase in _CLOSING
+    closes = state.phase in (ReachPhase.CLOSE, ReachPhase.HELD)
     if target is not None and state.phase in (ReachPhase.SERVO, ReachPhase.CLOSE):
         goal = target.position if state.aligned else target.position - below
         velocity = target.velocity

@@ -119,22 +119,22 @@ class GazeSettings:
     """Maximum acceleration of a neck joint."""
 
     def __post_init__(self) -> None:
-        _check_roles(self.calibration, self.roles)
+        for eye, cameras in (self.roles or {}).items():
+            there = cameras_of(self.calibration, eye)
+            if not {cameras.wide, cameras.narrow} <= set(there):
+                raise VergenceError(
+                    f"The {eye} eye has {', '.join(there) or 'no camera'}; found the roles wide: "
+                    f"{cameras.wide!r}, narrow: {cameras.narrow!r}."
+                )
+        if not self.eyes:
+            raise VergenceError(f"Give `roles` for one or both of {', '.join(EYES)}; found none.")
         if not self.objects:
             raise VergenceError("`objects` needs a detector by name, found no object to look at.")
-        for name, detector in self.objects.items():
-            if not callable(detector):
-                raise VergenceError(
-                    f"The detector of {name!r} must be a function of image, camera and pixel, "
-                    f"found {type(detector).__name__}."
-                )
         if self.limits.joints != self.joints:
             raise VergenceError(
                 f"The limits are those of {', '.join(self.limits.joints)}, but the joints of this "
                 f"head are {', '.join(self.joints)}: give `joint_limits(..., joints=...)`."
             )
-        if not 0 <= self.servo_lag_s < np.inf:
-            raise VergenceError(f"servo_lag_s is 0 s or more, found {self.servo_lag_s:g} s.")
         if self.geometry not in get_args(Geometry):
             known = " or ".join(map(repr, get_args(Geometry)))
             raise VergenceError(f"The geometry is {known}, found {self.geometry!r}.")
@@ -175,26 +175,6 @@ class GazeSettings:
     def cameras(self) -> tuple[str, ...]:
         """Names of all cameras that are used, each once: the wide ones, then the narrow ones."""
         return tuple(dict.fromkeys((*self.wide, *self.narrow)))
-
-
-def _check_roles(calibration: HeadCalibration, roles: Mapping[Side, EyeCameras] | None) -> None:
-    """Raise VergenceError unless the eyes have the cameras that are given roles."""
-    if roles is None:
-        return
-    if not roles or not set(roles) <= set(EYES):
-        raise VergenceError(
-            f"Roles of cameras are given by eye, for one or both of {', '.join(EYES)}; found "
-            f"{', '.join(map(repr, roles)) or 'no eye'}."
-        )
-    for eye, cameras in roles.items():
-        there = cameras_of(calibration, eye)
-        for role, name in vars(cameras).items():
-            if name not in there:
-                raise VergenceError(
-                    f"The {role} camera of the {eye} eye should be {name!r}, but this eye has "
-                    f"{', '.join(there) or 'no camera'}; this head's cameras are "
-                    f"{', '.join(calibration.cameras)}."
-                )
 
 
 @dataclass(frozen=True, eq=False)
@@ -284,16 +264,8 @@ def initial_gaze_state(
 def look_at(settings: GazeSettings, state: GazeState, target: str | ArrayLike) -> GazeState:
     """Set another target from the next step on, and discard the estimates of the previous one.
 
-    A point is looked at by the calibration and the set points alone, without images.
-
-    Args:
-        settings: with the objects that can be looked at.
-        state: the present one.
-        target: the name of an object, or a point (3,) [m] in frame body.
-
-    Raises:
-        VergenceError: no object has this name, or the point is not three finite numbers, or it is
-            the origin of frame body.
+    The target is the name of an object, or a point (3,) [m] in frame body, which is looked at by
+    the calibration and the set points alone. Raises VergenceError if it is neither.
     """
     if isinstance(target, str):
         if target not in settings.objects:
