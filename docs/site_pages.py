@@ -34,7 +34,15 @@ REFERENCE = {
 """Pages of the site, and the packages whose public names they list."""
 CONTENTS = {
     "Guides": (
-        *("calibrate", "locate", "other_joints", "gaze", "own_driver", "own_detector"),
+        *(
+            "ten_line_programs",
+            "calibrate",
+            "locate",
+            "other_joints",
+            "gaze",
+            "own_driver",
+            "own_detector",
+        ),
         *("reproduction", "error_study", "design_and_plan"),
     ),
     "Reference": (

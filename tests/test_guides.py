@@ -138,15 +138,24 @@ def test_the_guide_to_self_calibration_runs(tmp_path, monkeypatch):
     assert vergence.load_head("learned.json").accuracy is not None
 
 
-@pytest.mark.usefixtures("coarse_images", "two_folds")
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory, opengl: None, coarsely) -> Path:
+    """Return a folder with `my_head`, a dataset of the twin."""
+    folder = tmp_path_factory.mktemp("recorded")
+    with pytest.MonkeyPatch.context() as patch:
+        coarsely(patch)
+        words = ["vergence", "record", "--out", str(folder / "my_head"), "--frames", "20"]
+        patch.setattr(sys, "argv", words)
+        cli.main()
+    return folder
+
+
+@pytest.mark.usefixtures("two_folds")
 @pytest.mark.render
-def test_the_program_on_the_first_screen_finds_where_points_are(tmp_path, monkeypatch, capsys):
+def test_the_program_on_the_first_screen_finds_where_points_are(recorded, monkeypatch, capsys):
     from vergence.twin.truth import TRUTH, load
 
-    monkeypatch.chdir(tmp_path)
-    record = ["vergence", "record", "--out", "my_head", "--frames", "20"]
-    monkeypatch.setattr(sys, "argv", record)
-    cli.main()
+    monkeypatch.chdir(recorded)
     truth = load(Path("my_head") / TRUTH).head
     there = np.array([[0.5, -0.05, 0.02], [0.7, 0.1, -0.05]])
     angles = np.array([0.05, -0.02, 0.1, -0.02])
@@ -163,8 +172,31 @@ def test_the_program_on_the_first_screen_finds_where_points_are(tmp_path, monkey
     distance = np.einsum("ni,nij,nj->n", error, np.linalg.inv(points.covariance), error)
     assert (distance < 25).all()  # five standard deviations
     assert np.abs(error).max() < 0.02
-    assert (tmp_path / "head.json").exists()
+    assert Path("head.json").exists()
     assert capsys.readouterr().out.strip()
+
+
+@pytest.mark.usefixtures("two_folds")
+@pytest.mark.render
+def test_each_ten_line_program_runs_by_itself(recorded, monkeypatch, capsys):
+    monkeypatch.chdir(recorded)
+    programs = [b.text for b in blocks("docs/ten_line_programs.md") if b.language == "python"]
+    results = []
+    for code in programs:
+        names: dict[str, Any] = {}
+        exec(compile(code, "ten_line_programs.md", "exec"), names)
+        assert capsys.readouterr().out.strip()
+        results.append(names)
+        lines = [line for line in code.splitlines() if line and not line.startswith("import ")]
+        assert len(lines) <= 10
+    calibrated, located, learned, followed, gaze, depth, exported = results
+    assert not texts(calibrated["result"].findings, "void")
+    np.testing.assert_allclose(located["points"].xyz, located["there"], atol=1e-6)
+    assert learned["result"].head.cameras.keys() == calibrated["result"].head.cameras.keys()
+    assert np.isfinite(followed["estimate"].joints).all()
+    assert gaze["state"].frame_s > 0
+    assert len(depth["points"]) > 1000
+    assert exported["imported"].cameras.keys() == exported["head"].cameras.keys()
 
 
 def test_the_guide_to_calibration_runs(tmp_path, monkeypatch, capsys):
