@@ -75,8 +75,8 @@ def random_pan_tilt(rng: np.random.Generator) -> Kinematics:
             tilt_gain=gains[1],
             pan_offset_rad=offsets[0],
             tilt_offset_rad=offsets[1],
-            nonorthogonality_rad=rng.normal(0, np.radians(0.3)),
-            axis_distance_m=rng.normal(0, 0.001),
+            tilt_nonorthogonality_rad=rng.normal(0, np.radians(0.3)),
+            tilt_axis_distance_m=rng.normal(0, 0.001),
         )
     return Kinematics(eyes)
 

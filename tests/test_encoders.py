@@ -21,7 +21,7 @@ from vergence.calibration.checks.encoders import check_encoders
 from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.joints import Joint, parallel_distance_m
+from vergence.geometry.joints import Joint, common_normal
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics, Side, pan_tilt
 from vergence.geometry.parameters import boxminus, change_named
 from vergence.geometry.se3 import pose, rotation
@@ -276,7 +276,7 @@ def test_parallel_axes_on_the_wrong_side_of_each_other_are_doubted():
     """Of two tilts whose readings are exchanged, the second comes out behind the first."""
     head = head_of("neck tilt, tilt, pan", np.random.default_rng(0))
     neck, tilt, _ = head.kinematics.eyes["left"]
-    apart_m = parallel_distance_m(neck, tilt)
+    apart_m = common_normal(neck, tilt).parallel_m
     assert apart_m is not None
     exchanged = change_named(head, ["left.tilt_axis_distance_m"], np.array([-2 * apart_m]))
     said, *_ = texts(impossible_geometry(exchanged))

@@ -62,7 +62,7 @@ def test_true_angles_are_gain_times_reading_plus_offset(reading: np.ndarray):
 @given(angle_pairs)
 def test_a_tilt_axis_out_of_square_turns_about_x(angles: np.ndarray):
     tilt_axis = rotation(angles[0] * UP) @ rotation(0.03 * FORWARD) @ LEFT
-    R = left_eye(angles, nonorthogonality_rad=0.03)[:3, :3]
+    R = left_eye(angles, tilt_nonorthogonality_rad=0.03)[:3, :3]
     np.testing.assert_allclose(
         R, rotation(angles[1] * tilt_axis) @ rotation(angles[0] * UP), atol=1e-14
     )
@@ -71,7 +71,7 @@ def test_a_tilt_axis_out_of_square_turns_about_x(angles: np.ndarray):
 @given(angle_pairs)
 def test_a_tilt_axis_ahead_of_the_pan_axis_moves_with_pan_only(angles: np.ndarray):
     expected = 0.002 * (rotation(angles[0] * UP) @ FORWARD)
-    T = left_eye(angles, axis_distance_m=0.002)
+    T = left_eye(angles, tilt_axis_distance_m=0.002)
     np.testing.assert_allclose(T[:3, 3], expected, atol=1e-17)
 
 

@@ -17,7 +17,7 @@ from vergence.geometry.camera import (
     undistort,
     unproject,
 )
-from vergence.geometry.lens import COEFFICIENTS, CameraModel, reach, roots_of_cubic
+from vergence.geometry.lens import COEFFICIENTS, CameraModel, reach
 from vergence.geometry.parameter_names import intrinsics_names
 from vergence.geometry.parameters import lens_of_vector, lens_vector
 
@@ -161,28 +161,6 @@ def test_a_lens_without_k3_ends_where_its_radius_stops_rising(k1: float, k2: flo
         assert 1 + 3 * k1 * end + 5 * k2 * end**2 == pytest.approx(0, abs=1e-6 * (1 + end**2))
     inside = np.linspace(0, min(end, 100.0), 1000)[:-1]
     assert (1 + 3 * k1 * inside + 5 * k2 * inside**2 > -1e-9).all()
-
-
-@given(roots=st.lists(st.floats(-3, 3), min_size=3, max_size=3))
-def test_three_real_roots_of_a_cubic_are_found(roots):
-    roots = sorted(round(each, 3) for each in roots)
-    assume(min(np.diff(roots)) > 0.01 and all(roots))
-    _, b, c, d = np.poly(roots)
-    assert sorted(roots_of_cubic(b, c, d)) == pytest.approx(roots, abs=1e-9)
-
-
-@given(root=st.floats(-3, 3), real=st.floats(-3, 3), imaginary=st.floats(0.01, 3))
-def test_the_only_real_root_of_a_cubic_is_found(root, real, imaginary):
-    assume(abs(root) > 1e-3)
-    b, c, d = np.real(np.poly([root, real + 1j * imaginary, real - 1j * imaginary]))[1:]
-    assert roots_of_cubic(b, c, d) == pytest.approx([root], abs=1e-9)
-
-
-@given(b=st.floats(-3, 3), c=st.floats(-3, 3))
-def test_without_a_constant_a_cubic_has_the_roots_of_a_quadratic(b, c):
-    found = roots_of_cubic(b, c, 0.0)
-    assert len(found) == (2 if b * b >= 4 * c else 0)
-    assert [x * x + b * x + c for x in found] == pytest.approx([0.0] * len(found), abs=1e-12)
 
 
 @pytest.mark.parametrize("k", [(0, 1e-121, 0, 0, 1e-171), (1e-110, 1e-121, 0, 0, 1e-201)])

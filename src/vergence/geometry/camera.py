@@ -45,7 +45,7 @@ def check_image_size(width: int, height: int) -> None:
 
 
 def is_image_size(size: Any) -> bool:
-    """Return whether this is a width and a height, in whole pixels, that an image may have."""
+    """Check whether this is a width and a height, in whole pixels, that an image may have."""
     if np.shape(size) != (2,) or not all(isinstance(n, Integral) for n in size):
         return False
     width, height = map(int, size)
@@ -188,7 +188,7 @@ def in_reach(camera: Camera, x: Array, y: Array, z: Array) -> np.ndarray:
 
 
 def displaced_by_distortion(camera: Camera) -> Array:
-    """Return X (n, n) [px^2]: how far pixels move when the n distortion coefficients change.
+    """Compute X (n, n) [px^2]: how far pixels move when the n distortion coefficients change.
 
     A change d of the coefficients moves the pixels of the image by d^T X d in the mean square.
     """
@@ -200,7 +200,7 @@ def displaced_by_distortion(camera: Camera) -> Array:
 
 
 def pixel_grid(camera: Camera) -> Array:
-    """Return pixels (N, 2) evenly spread over an image."""
+    """Spread pixels (N, 2) evenly over an image."""
     u, v = np.meshgrid(*((np.arange(_GRID) + 0.5) / _GRID * n - 0.5 for n in camera.size))
     return np.stack([u.ravel(), v.ravel()], axis=1)
 
@@ -259,18 +259,18 @@ def normalise_jacobian(camera: Camera, pixels: Array) -> tuple[Array, Array]:
 
 
 def pixel_area(camera: Camera, xy: Array) -> Array:
-    """Return the area (...,) in the plane z = 1 of one pixel at undistorted xy (..., 2)."""
+    """Compute the area (...,) in the plane z = 1 of one pixel at undistorted xy (..., 2)."""
     *_, xx, cross, yy = lens.distort(camera.model, camera.coefficients, xy[..., 0], xy[..., 1])
     return 1 / (camera.matrix[0, 0] * camera.matrix[1, 1] * (xx * yy - cross * cross))
 
 
 def undistort(camera: Camera, pixels: Array) -> Array:
-    """Return distortion-corrected pixels (..., 2): what Eqs. 1-4 speak of."""
+    """Correct pixels (..., 2) for distortion: those of Eqs. 1-4."""
     return normalise(camera, pixels) @ camera.matrix[:2, :2].T + camera.matrix[:2, 2]
 
 
 def half_size(camera: Camera) -> Camera:
-    """Return the camera of an image whose pixels are means of 2 x 2; an odd last one is lost."""
+    """Make the camera of an image whose pixels are means of 2 x 2; an odd last one is lost."""
     matrix = camera.matrix.copy()
     matrix[:2] /= 2
     matrix[:2, 2] -= 1 / 4  # (0, 0) is the middle of a pixel
@@ -286,7 +286,7 @@ def pinhole(
     *,
     model: CameraModel = "radial-tangential",
 ) -> Camera:
-    """Return a camera whose principal point is the middle of its image; no coefficients: zeros."""
+    """Make a camera whose principal point is the middle of its image; no coefficients: zeros."""
     fx, fy = focal_px if isinstance(focal_px, tuple) else (focal_px, focal_px)
     matrix = np.array([[fx, 0, (width - 1) / 2], [0, fy, (height - 1) / 2], [0, 0, 1]])
     k = np.zeros(len(COEFFICIENTS[model])) if distortion is None else np.array(distortion)

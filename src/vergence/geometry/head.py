@@ -95,12 +95,12 @@ class HeadCalibration:
 
 
 def states_covariance(head: HeadCalibration) -> bool:
-    """Return whether a head states how well its parameters are known."""
+    """Check whether a head states how well its parameters are known."""
     return head.accuracy is not None and len(head.accuracy.parameters) > 0
 
 
 def states_noise(head: HeadCalibration) -> bool:
-    """Return whether a head states any errors: its covariance, or noise of pixels or readings."""
+    """Check whether a head states a covariance, or noise of pixels or readings."""
     accuracy = head.accuracy
     if accuracy is None:
         return False
@@ -124,11 +124,7 @@ def check_states_covariance(head: HeadCalibration) -> None:
 
 
 def stated_covariance(head: HeadCalibration, names: Sequence[str]) -> tuple[np.ndarray, Array]:
-    """Return which of the named parameters have a stated covariance, and that covariance.
-
-    The first are (s,) indices into the names, in their order; the second is (s, s), where s may
-    be 0.
-    """
+    """Select which (s,) of named parameters have a stated covariance, and that (s, s)."""
     if head.accuracy is None:
         return np.empty(0, dtype=np.intp), np.empty((0, 0))
     theirs = {name: k for k, name in enumerate(head.accuracy.parameters)}
@@ -138,7 +134,7 @@ def stated_covariance(head: HeadCalibration, names: Sequence[str]) -> tuple[np.n
 
 
 def pixel_stds(head: HeadCalibration, cameras: tuple[str, str] | None) -> Array:
-    """Return the stated noise of left u, left v, right u, right v (4,) [px]; 0: none is stated.
+    """Look up the stated noise of left u, left v, right u, right v (4,) [px]; 0: not stated.
 
     VergenceError if the head has no such pair of cameras.
     """
@@ -150,7 +146,7 @@ def pixel_stds(head: HeadCalibration, cameras: tuple[str, str] | None) -> Array:
 
 
 def reading_stds(head: HeadCalibration) -> Array:
-    """Return the stated noise of each reading (r,) [rad], 0 where none is stated."""
+    """Look up the stated noise of each reading (r,) [rad]; 0: not stated."""
     accuracy, kinds = head.accuracy, reading_kinds(head.kinematics)
     if accuracy is None or not accuracy.joint_std:
         return np.zeros(len(kinds))
@@ -168,12 +164,12 @@ def check_camera_name(name: str) -> None:
 
 
 def cameras_of(head: HeadCalibration, eye: Side) -> list[str]:
-    """Return the names of an eye's cameras, in the order in which the head has them."""
+    """List the names of an eye's cameras, in the order of the head."""
     return [name for name, mounted in head.cameras.items() if mounted.eye == eye]
 
 
 def main_camera(names: Collection[str], eye: Side) -> str:
-    """Return the main one of an eye's cameras (names): the wide one, or else the first."""
+    """Select the main one of an eye's cameras (names): the wide one, or else the first."""
     return f"{eye}_wide" if f"{eye}_wide" in names else next(iter(names))
 
 
@@ -186,8 +182,7 @@ def main_pair(head: HeadCalibration) -> tuple[str, str] | None:
 def pair_names(head: HeadCalibration, cameras: tuple[str, str] | None = None) -> tuple[str, str]:
     """Return the names of a camera of the left eye and one of the right; None: the main ones.
 
-    VergenceError if they are not two, one of them is missing, left and right are exchanged, or the
-    head is something else, such as a path.
+    VergenceError if they are something else, or the head is, such as a path.
     """
     if not isinstance(head, HeadCalibration):
         raise VergenceError(
@@ -198,36 +193,30 @@ def pair_names(head: HeadCalibration, cameras: tuple[str, str] | None = None) ->
         raise VergenceError(
             f"Stereo needs a camera in each eye; this head has {', '.join(head.cameras)}."
         )
-    if isinstance(pair, str) or len(pair) != 2:
+    names = [pair] if isinstance(pair, str) else list(pair)
+    if [head.camera(name).eye for name in names] != ["left", "right"]:
         raise VergenceError(
-            "cameras names two, one of the left eye and one of the right, such as "
-            f"{main_pair(head)}; found {pair!r:.80}."
+            "A stereo pair is a camera of the left eye and one of the right, in this order, such "
+            f"as {main_pair(head)}; found {pair!r:.80}."
         )
-    left, right = pair
-    eyes = head.camera(left).eye, head.camera(right).eye
-    if eyes != ("left", "right"):
-        raise VergenceError(
-            f"A stereo pair is a camera of the left eye and one of the right, in this order; "
-            f"{left} sits in the {eyes[0]} eye and {right} in the {eyes[1]} one."
-        )
-    return left, right
+    return names[0], names[1]
 
 
 def T_head_base(head: HeadCalibration, eye: Side) -> Array:
-    """Return the pose (4, 4) of an eye's base frame in frame head."""
+    """Compute the pose (4, 4) of an eye's base frame in frame head."""
     T_lbase_rbase = inverse(head.T_rbase_lbase)
     T_head_lbase = pose(t=-T_lbase_rbase[:3, 3] / 2)
     return T_head_lbase if eye == "left" else T_head_lbase @ T_lbase_rbase
 
 
 def T_base_cam(head: HeadCalibration, camera: str, joints: Array) -> Array:
-    """Return poses (..., 4, 4) of a camera in its eye's base, at readings (..., r) of the head."""
+    """Compute poses (..., 4, 4) of a camera in its eye's base, at readings (..., r) of the head."""
     mounted = head.camera(camera)
     return T_base_eye(head.kinematics, mounted.eye, joints) @ mounted.T_eye_cam
 
 
 def T_body_base(head: HeadCalibration, eye: Side, neck_angles: Array) -> Array:
-    """Return poses (..., 4, 4) of an eye's base frame in frame body: T_be(neck) of Eq. 12.
+    """Compute poses (..., 4, 4) of an eye's base frame in frame body: T_be(neck) of Eq. 12.
 
     The angles (..., 3) [rad] are those of a frame; `neck.chain_angles` has what else they may be,
     and its error.
@@ -236,7 +225,7 @@ def T_body_base(head: HeadCalibration, eye: Side, neck_angles: Array) -> Array:
 
 
 def T_narrow_wide(head: HeadCalibration, eye: Side) -> Array:
-    """Return the pose (4, 4) of the wide camera in the narrow one: R_fp, t_fp of Sec. III."""
+    """Compute the pose (4, 4) of the wide camera in the narrow one: R_fp, t_fp of Sec. III."""
     wide, narrow = (head.camera(f"{eye}_{lens}") for lens in ("wide", "narrow"))
     return inverse(narrow.T_eye_cam) @ wide.T_eye_cam
 

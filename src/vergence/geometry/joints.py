@@ -75,68 +75,49 @@ class Joint:
             object.__setattr__(self, "gain", 1.0)
 
 
-def _parallel(before: Joint, joint: Joint) -> bool:
-    """Return whether two successive axes are parallel."""
-    return _designed(*_lines(before, joint))[0]
+class CommonNormal(NamedTuple):
+    """How one of two successive axes was designed to lie to the other."""
+
+    direction: Array
+    """(3,) unit vector."""
+    parallel_m: float | None
+    """Distance of parallel axes; None: they are not parallel."""
 
 
-def parallel_distance_m(before: Joint, joint: Joint) -> float | None:
-    """Return how far a joint's axis is designed to be from the one before; None: not parallel."""
-    return float(np.linalg.norm(_between(before, joint))) if _parallel(before, joint) else None
+def common_normal(before: Joint, joint: Joint) -> CommonNormal:
+    """Compute the common normal of two successive axes."""
+    return _common_normal(
+        *(tuple(each.axis.tolist() + each.point_m.tolist()) for each in (before, joint))
+    )
 
 
-def _between(before: Joint, joint: Joint) -> Array:
-    """Return the vector (3,) [m] from a parallel axis before to that of a joint."""
-    return _off_axis(joint.point_m - before.point_m, joint.axis)
-
-
-def _off_axis(apart: Array, axis: Array) -> Array:
-    return apart - apart @ axis * axis
-
-
-def _normal(before: Joint, joint: Joint) -> Array:
-    """Return the unit vector (3,) of the common normal of two successive axes."""
-    return _designed(*_lines(before, joint))[1]
-
-
-_Numbers = tuple[float, ...]
-
-
-def _lines(before: Joint, joint: Joint) -> list[_Numbers]:
-    return [tuple(each.axis.tolist() + each.point_m.tolist()) for each in (before, joint)]
-
-
-@lru_cache(maxsize=256)
-def _designed(before: _Numbers, own: _Numbers) -> tuple[bool, Array]:
-    """Return whether two axes are parallel, and the unit vector (3,) of their common normal.
-
-    Each axis is six numbers: its direction and a point on it. Cached, since an estimate changes
-    joints many times a second, but never their design.
-    """
-    (first, start), (axis, point) = (np.reshape(each, (2, 3)) for each in (before, own))
-    normal = se3.cross(axis, first)
-    parallel = bool(np.linalg.norm(normal) < PARALLEL)
-    if parallel:
-        normal = _off_axis(point - start, axis)
+@lru_cache(maxsize=256)  # an estimate changes joints many times a second, but never their design
+def _common_normal(before: tuple[float, ...], joint: tuple[float, ...]) -> CommonNormal:
+    (first, start), (axis, point) = (np.reshape(each, (2, 3)) for each in (before, joint))
+    normal, distance = se3.cross(axis, first), None
+    if np.linalg.norm(normal) < PARALLEL:
+        normal = point - start
+        normal = normal - normal @ axis * axis
+        distance = float(np.linalg.norm(normal))
     length = np.linalg.norm(normal)
-    return parallel, normal / length if length > 0 else normal
+    return CommonNormal(normal / length if length > 0 else normal, distance)
 
 
 def _inclines_about(before: Joint, joint: Joint) -> Array:
-    """Return the unit vector (3,) about which a joint's inclination turns its axis."""
-    normal = _normal(before, joint)
+    """Compute the unit vector (3,) about which a joint's inclination turns its axis."""
+    normal = common_normal(before, joint).direction
     return rotation(joint.nonorthogonality_rad * normal) @ se3.cross(joint.axis, normal)
 
 
 def eye_chain(joints: tuple[Joint, ...], readings: tuple[str, ...]) -> Chain:
-    """Return the chain of joints, with their errors, moved by readings of these names."""
+    """Assemble the chain of joints, with their errors, moved by readings of these names."""
     n = len(joints)
     axes, points, mixing = np.empty((n, 3)), np.empty((n, 3)), np.zeros((n, len(readings)))
     shift = np.zeros(3)
     for k, joint in enumerate(joints):
         axes[k] = joint.axis
         if k:
-            normal = _normal(joints[k - 1], joint)
+            normal = common_normal(joints[k - 1], joint).direction
             if joint.nonorthogonality_rad:
                 axes[k] = rotation(joint.nonorthogonality_rad * normal) @ joint.axis
             if joint.inclination_rad:
@@ -151,7 +132,7 @@ def eye_chain(joints: tuple[Joint, ...], readings: tuple[str, ...]) -> Chain:
 
 
 def joint_parameters(joints: tuple[Joint, ...]) -> list[tuple[int, str]]:
-    """Return the parameters by which joints may differ from their design: (joint's number, name).
+    """List the parameters by which joints may differ from their design: (joint's number, name).
 
     A joint with several readings has a factor for each of them in place of one gain. Slides of the
     first and the last joint are left out, since they only shift the eye's base, or the cameras in
@@ -159,7 +140,10 @@ def joint_parameters(joints: tuple[Joint, ...]) -> list[tuple[int, str]]:
     base.
     """
     found, n = [], len(joints)
-    parallel = [0 < k < n and _parallel(joints[k - 1], joints[k]) for k in range(n + 1)]
+    parallel = [
+        0 < k < n and common_normal(joints[k - 1], joints[k]).parallel_m is not None
+        for k in range(n + 1)
+    ]
     for k in range(n):
         several = list(joints[k].readings) if len(joints[k].readings) > 1 else []
         found += [(k, f"factor_{name}") for name in several] or [(k, "gain")]
@@ -174,14 +158,14 @@ def joint_parameters(joints: tuple[Joint, ...]) -> list[tuple[int, str]]:
 
 
 def joint_value(joint: Joint, name: str) -> float:
-    """Return one of the numbers that joint_parameters names."""
+    """Read one of the numbers that joint_parameters names."""
     if name.startswith("factor_"):
         return joint.readings[name.removeprefix("factor_")]
     return getattr(joint, name)
 
 
 def change_joints(joints: tuple[Joint, ...], change: Array) -> tuple[Joint, ...]:
-    """Return joints whose errors are changed by (a,), in the order of joint_parameters.
+    """Change the errors of joints by (a,), in the order of joint_parameters.
 
     ValueError if they change by more than any joint has.
     """
@@ -208,7 +192,7 @@ class JointError(NamedTuple):
 
 
 def joint_errors(joints: tuple[Joint, ...], names: tuple[str, ...]) -> tuple[JointError, ...]:
-    """Return the errors of joints in the order of joint_parameters."""
+    """List the errors of joints in the order of joint_parameters."""
     found = []
     for k, name in joint_parameters(joints):
         joint, mixing, direction = joints[k], {}, None
@@ -221,7 +205,7 @@ def joint_errors(joints: tuple[Joint, ...], names: tuple[str, ...]) -> tuple[Joi
         elif name == "inclination_rad":
             direction = _inclines_about(joints[k - 1], joint)
         elif name != "offset_rad":
-            direction = _normal(joints[k - 1], joint)
+            direction = common_normal(joints[k - 1], joint).direction
         terms = [(names.index(one), float(factor)) for one, factor in mixing.items()]
         constant = float(name == "offset_rad")
         tilts = name in ("nonorthogonality_rad", "inclination_rad")

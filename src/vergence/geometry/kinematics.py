@@ -26,10 +26,10 @@ from vergence.geometry.joints import (
     Joint,
     JointError,
     ReadingName,
+    common_normal,
     eye_chain,
     joint_errors,
     joint_parameters,
-    parallel_distance_m,
 )
 
 Side = Literal["left", "right"]
@@ -49,32 +49,18 @@ LEAST_APART_M = 1e-3
 """Distance of parallel axes below which they count as one."""
 
 
-def pan_tilt(
-    eye: Side,
-    *,
-    pan_gain: float = 1.0,
-    pan_offset_rad: float = 0.0,
-    tilt_gain: float = 1.0,
-    tilt_offset_rad: float = 0.0,
-    nonorthogonality_rad: float = 0.0,
-    axis_distance_m: float = 0.0,
-) -> tuple[Joint, Joint]:
-    """Return the joints of the paper's eye: pan about +z, then tilt about +y."""
-    pan = Joint(
-        name="pan",
-        axis=np.array(AXIS_NAMES["pan"]),
-        readings={f"{eye}_pan": 1.0},
-        gain=pan_gain,
-        offset_rad=pan_offset_rad,
-    )
-    tilt = Joint(
-        name="tilt",
-        axis=np.array(AXIS_NAMES["tilt"]),
-        readings={f"{eye}_tilt": 1.0},
-        gain=tilt_gain,
-        offset_rad=tilt_offset_rad,
-        nonorthogonality_rad=nonorthogonality_rad,
-        axis_distance_m=axis_distance_m,
+def pan_tilt(eye: Side, **errors: float) -> tuple[Joint, Joint]:
+    """Describe the joints of the paper's eye: pan about +z, then tilt about +y.
+
+    Errors are named by joint and field, such as pan_gain and tilt_nonorthogonality_rad.
+    """
+    fields: dict[str, dict[str, float]] = {"pan": {}, "tilt": {}}
+    for name, value in errors.items():
+        joint, _, error = name.partition("_")
+        fields[joint][error] = value
+    pan, tilt = (
+        Joint(name, np.array(AXIS_NAMES[name]), {f"{eye}_{name}": 1.0}, **own)
+        for name, own in fields.items()
     )
     return pan, tilt
 
@@ -115,10 +101,7 @@ class Kinematics:
 
     @cached_property
     def factors(self) -> Array:
-        """(r,) by how much each reading turns the joint that it turns most; 1: as far as it says.
-
-        Far from 1 are readings of motors before a gear. Gains are not counted.
-        """
+        """(r,) ratio of the gear behind each reading: the largest of its factors, without gains."""
         joints = [joint for eye in EYES for joint in self.eyes[eye]]
         turns = [[abs(joint.readings.get(name, 0.0)) for joint in joints] for name in self.readings]
         return np.array([max(each, default=0.0) or 1.0 for each in turns])
@@ -144,8 +127,8 @@ def _check_joints(whose: str, joints: tuple[Joint, ...], readings: tuple[str, ..
                 f"of the readings {', '.join(readings)}"
             )
     for before, joint in pairwise(joints):
-        apart = parallel_distance_m(before, joint)
-        if apart is not None and apart < LEAST_APART_M:
+        distance = common_normal(before, joint).parallel_m
+        if distance is not None and distance < LEAST_APART_M:
             raise ValueError(
                 f"joints {before.name} and {joint.name} of the {whose} have the same axis; give "
                 "one joint with the readings of both, or by `point_m` where each axis is"
@@ -153,7 +136,7 @@ def _check_joints(whose: str, joints: tuple[Joint, ...], readings: tuple[str, ..
 
 
 def same_design(a: Kinematics, b: Kinematics, eyes: Collection[Side] = EYES) -> bool:
-    """Return whether the joints of some eyes are the same, but for what a calibration changes."""
+    """Check whether joints of some eyes have the same design, whatever their errors."""
     pairs = [pair for eye in eyes for pair in zip_longest(a.eyes[eye], b.eyes[eye])]
     return all(
         one is not None
@@ -166,61 +149,51 @@ def same_design(a: Kinematics, b: Kinematics, eyes: Collection[Side] = EYES) -> 
 
 
 def reading_kinds(kinematics: Kinematics) -> list[int]:
-    """Return the kind (r,) of each reading; readings of one kind have the same level of noise.
+    """Number the kinds (r,) of readings; readings of one kind have the same level of noise.
 
     A reading of the left eye alone is of one kind with one of the right eye alone if the joints
-    that they turn have parallel axes, such as pan with pan, and no gear is before one of them only.
-    All others are of a kind of their own.
+    that they turn have parallel axes, such as pan with pan, and gears are alike. All others are of
+    a kind of their own.
     """
     left, right = (kinematics.used(eye) for eye in EYES)
-    kinds = [-1] * len(kinematics.readings)
     alone = [reading for reading in left if reading not in right]
-    for kind, reading in enumerate(alone):
-        kinds[reading] = kind
-    others = len(alone)
+    kinds = {reading: kind for kind, reading in enumerate(alone)}
     for reading in (r for r in right if r not in left):
         like = next((r for r in alone if _alike(kinematics, r, reading)), None)
-        if like is None:
-            kinds[reading], others = others, others + 1
-        else:
-            kinds[reading] = kinds[like]
-            alone.remove(like)
-    for n, reading in enumerate(r for r in left if r in right):
-        kinds[reading] = others + n
-    return kinds
+        kinds[reading] = max(kinds.values(), default=-1) + 1 if like is None else kinds[like]
+        alone = [r for r in alone if r != like]
+    for reading in (r for r in left if r in right):
+        kinds[reading] = max(kinds.values(), default=-1) + 1
+    return [kinds.get(reading, -1) for reading in range(len(kinematics.readings))]
 
 
 def _alike(kinematics: Kinematics, left: int, right: int) -> bool:
-    """Return whether readings of the left and of the right eye turn joints of one make."""
-    factors = kinematics.factors[[left, right]]
-    if factors.max() >= GEARED * factors.min():
-        return False
-    axes = []
+    """Check whether readings of the left and of the right eye turn joints of one make."""
+    factors, axes = kinematics.factors[[left, right]], []
     for eye, reading in zip(EYES, (left, right), strict=True):
         chain = kinematics.chains[eye]
         axes.append(chain.axes[np.abs(chain.mixing[:, reading]).argmax()])
-    return bool(abs(axes[0] @ axes[1]) > _SAME_AXIS)
+    return bool(factors.max() < GEARED * factors.min() and abs(axes[0] @ axes[1]) > _SAME_AXIS)
 
 
 def readings_to_turn(kinematics: Kinematics, turn: Array) -> Array:
-    """Return readings (..., r) at which both eyes have turned by vectors (..., 3) [rad].
+    """Compute readings (..., r) at which both eyes have turned by vectors (..., 3) [rad].
 
-    Along the axes of the head, to first order in the turn, and as nearly as the joints can without
-    turning against each other about axes that are all but parallel.
+    Along the axes of the head, to first order in the turn; see `least_readings`.
     """
     maps = [turn_by_readings(chain) for chain in kinematics.chains.values()]
     return least_readings(np.concatenate(maps), np.concatenate([turn, turn], axis=-1))
 
 
 def turn_by_readings(chain: Chain) -> Array:
-    """Return how readings turn an eye from where all joints are at zero (3, r), to first order."""
+    """Compute the turn (3, r) of an eye by each reading, where all joints are at zero."""
     return chain.axes.T @ chain.mixing
 
 
 def least_readings(by_reading: Array, turn: Array) -> Array:
-    """Return the smallest readings (..., r) for which by_reading @ readings is nearest to a turn.
+    """Compute the smallest readings (..., r) for which by_reading @ readings is nearest to a turn.
 
-    Directions that nearly parallel axes reach only by turning far against each other do not count.
+    Directions do not count that nearly parallel axes reach only by turning far against each other.
 
     Args:
         by_reading: (n, r) turn that each reading makes.
@@ -233,12 +206,12 @@ def least_readings(by_reading: Array, turn: Array) -> Array:
 
 
 def eye_turn(kinematics: Kinematics, eye: Side, readings: Array) -> Array:
-    """Return the turn (..., 3) [rad] of an eye at readings (..., r), to first order in it."""
+    """Compute the turn (..., 3) [rad] of an eye at readings (..., r), to first order in it."""
     return eye_joint_angles(kinematics, eye, readings) @ kinematics.chains[eye].axes
 
 
 def eye_joint_angles(kinematics: Kinematics, eye: Side, readings: Array) -> Array:
-    """Return the angles (..., n) [rad] of an eye's joints at readings (..., r).
+    """Compute the angles (..., n) [rad] of an eye's joints at readings (..., r).
 
     Readings that do not move the eye may be NaN.
     """
@@ -252,21 +225,21 @@ def straight_gaze(kinematics: Kinematics) -> Array:
 
 
 def looking_along(pan_rad: np.ndarray, tilt_rad: np.ndarray) -> Array:
-    """Return unit vectors (..., 3) along which an eye that pans, then tilts, looks (x ahead)."""
+    """Compute unit vectors (..., 3) along which an eye looks that pans, then tilts (x ahead)."""
     ahead = np.cos(tilt_rad)
     parts = ahead * np.cos(pan_rad), ahead * np.sin(pan_rad), -np.sin(tilt_rad)
     return np.stack(parts, axis=-1)
 
 
 def pan_tilt_along(x: Array, y: Array, z: Array) -> tuple[Array, Array]:
-    """Return pan and tilt (...) [rad] with which an eye looks along vectors."""
+    """Compute pan and tilt (...) [rad] with which an eye looks along vectors."""
     return np.arctan2(y, x), -np.arctan2(z, np.hypot(x, y))
 
 
 def checked_readings(
     kinematics: Kinematics, readings: ArrayLike, *, one_posture: bool = False
 ) -> Array:
-    """Return readings (..., r) [rad] as an array; of one posture they are (r,).
+    """Check readings (..., r) [rad]; of one posture they are (r,).
 
     VergenceError if they are not the head's r, or where one posture is needed if they are of more
     than one or not in radians.
@@ -305,7 +278,7 @@ def check_radians(angles: Array, what: str) -> None:
 
 
 def T_base_eye(kinematics: Kinematics, eye: Side, readings: ArrayLike) -> Array:
-    """Return the pose (..., 4, 4) of an eye in its fixed base: T_er(theta) of the paper.
+    """Compute the pose (..., 4, 4) of an eye in its fixed base: T_er(theta) of the paper.
 
     Readings are (..., r) [rad], all those of the head; VergenceError if they are not as many.
     """

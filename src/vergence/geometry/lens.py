@@ -13,8 +13,6 @@ Directions are given by x/z and y/z, so all models end at 90 degrees from the ax
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable
 from functools import lru_cache
 from typing import Literal
 
@@ -40,7 +38,7 @@ _LARGEST_TANGENT = 100.0
 
 @ignoring_invalid
 def distort(model: CameraModel, k: Coefficients, x: Array, y: Array) -> tuple[Array, ...]:
-    """Return distorted x', y', and dx'/dx, dx'/dy (which is dy'/dx), dy'/dy, each shaped as x.
+    """Compute distorted x', y', and dx'/dx, dx'/dy (which is dy'/dx), dy'/dy, each shaped as x.
 
     x and y are x/z and y/z; k are the coefficients of the model.
     """
@@ -89,7 +87,7 @@ def _radius_slope(k: Coefficients, theta: Array) -> Array:
 def by_coefficients(
     model: CameraModel, k: Coefficients, x: Array, y: Array
 ) -> tuple[list[Array], list[Array]]:
-    """Return the derivatives of distorted x' and of y' by the n coefficients of the model."""
+    """Compute the derivatives of distorted x' and of y' by the n coefficients of the model."""
     r2 = x * x + y * y
     if model == "fisheye":
         r = np.maximum(np.sqrt(r2), _SMALLEST_RADIUS)
@@ -110,54 +108,33 @@ def by_coefficients(
     return rows[0], rows[1]
 
 
-def roots_of_cubic(b: float, c: float, d: float) -> list[float]:
-    """Return the real roots of x^3 + b x^2 + c x + d; without that at zero if d is zero.
-
-    In closed form (Cardano for one root, Viete for three), in a fortieth of the time of np.roots.
-    """
-    if d == 0:
-        square = b * b / 4 - c
-        return [-b / 2 + sign * math.sqrt(square) for sign in (1, -1) if square >= 0]
-    q, r = (3 * c - b * b) / 9, (b * (9 * c - 2 * b * b) - 27 * d) / 54
-    discriminant = q**3 + r * r
-    if discriminant > 0:
-        root = math.cbrt(r + math.copysign(math.sqrt(discriminant), r))
-        return [root - q / root - b / 3]
-    size = math.sqrt(max(-q, 0.0))  # above zero where its cube has underflown
-    third = math.acos(max(-1.0, min(r / size**3, 1.0))) / 3 if size else 0.0
-    return [2 * size * math.cos(third + k * math.tau / 3) - b / 3 for k in range(3)]
-
-
 @lru_cache(maxsize=1024)
 def reach(model: CameraModel, k: Coefficients) -> float:
-    """Return the x^2 + y^2 up to which the radius in the image grows; infinity: up to 90 degrees.
+    """Compute the x^2 + y^2 up to which the radius in the image grows; infinity: up to 90 degrees.
 
     Beyond it the lens model folds over or has a pole, and pixels belong to no direction.
     """
-    inverse: Iterable[complex]
+    u = np.array([1.0, 0.0])
     if model == "radial-tangential":
         k1, k2, _, _, k3 = k
-        # Solved for 1 / r^2, where the slope of the radius is zero; estimates change lenses many
-        # times a second.
-        inverse = roots_of_cubic(3 * k1, 5 * k2, 7 * k3)
+        slopes = [[7 * k3, 5 * k2, 3 * k1, 1.0]]
     elif model == "fisheye":
         k1, k2, k3, k4 = k
-        inverse = np.roots([1, 3 * k1, 5 * k2, 7 * k3, 9 * k4])
+        slopes = [[9 * k4, 7 * k3, 5 * k2, 3 * k1, 1.0]]
     else:
         k1, k2, _, _, k3, k4, k5, k6 = k
         above, below = np.array([k3, k2, k1, 1.0]), np.array([k6, k5, k4, 1.0])
-        u = np.array([1.0, 0.0])
-        slope = np.polyadd(
-            np.polymul(np.polyadd(above, 2 * np.polymul(u, np.polyder(above))), below),
-            -2 * np.polymul(u, np.polymul(above, np.polyder(below))),
-        )
-        inverse = np.concatenate([np.roots(slope[::-1]), np.roots(below[::-1])])
-    rising = max((root.real for root in inverse if root.imag == 0 < root.real), default=0.0)
-    first = 1 / rising if rising > 0 else np.inf
+        rising = np.polyadd(above, 2 * np.polymul(u, np.polyder(above)))
+        falling = 2 * np.polymul(u, np.polymul(above, np.polyder(below)))
+        slopes = [np.polysub(np.polymul(rising, below), falling), below]
+    # Solved for 1 / r^2: the largest root is the first fold or pole.
+    roots = np.concatenate([np.roots(slope[::-1]) for slope in slopes])
+    largest = roots.real[(roots.imag == 0) & (roots.real > 0)].max(initial=0.0)
+    first = 1 / largest if largest > 0 else np.inf
     if model != "fisheye":
-        return first
+        return float(first)
     theta = np.sqrt(first)
-    return np.tan(theta) ** 2 if theta < np.pi / 2 else np.inf
+    return float(np.tan(theta) ** 2) if theta < np.pi / 2 else np.inf
 
 
 @lru_cache(maxsize=1024)

@@ -45,18 +45,15 @@ class Neck:
         return self.joints or (NECK_JOINTS if len(self.axes) == len(NECK_JOINTS) else ())
 
     def __post_init__(self) -> None:
-        if len(self.axes) != len(self.points_m):
+        n = len(self.axes)
+        if len(self.points_m) != n or n > MAX_JOINTS:
             raise ValueError(
-                f"a neck has a point on each axis, found "
-                f"{counted(len(self.axes), 'axis', 'axes')} and "
-                f"{counted(len(self.points_m), 'point')}"
+                f"a neck has at most {MAX_JOINTS} joints and a point on each axis, found "
+                f"{counted(n, 'axis', 'axes')} and {counted(len(self.points_m), 'point')}"
             )
-        if len(self.axes) > MAX_JOINTS:
-            raise ValueError(f"a neck has at most {MAX_JOINTS} joints, found {len(self.axes)}")
-        if self.joints and not len(set(self.joints)) == len(self.joints) == len(self.axes):
+        if self.joints and not len(set(self.joints)) == len(self.joints) == n:
             raise ValueError(
-                f"a neck's {counted(len(self.axes), 'joint')} have a name each, found "
-                f"{', '.join(self.joints)}"
+                f"a neck's {counted(n, 'joint')} have a name each, found {', '.join(self.joints)}"
             )
         largest = max(np.abs(self.points_m).max(initial=0.0), np.abs(self.head_m).max())
         if largest > MAX_M:
@@ -67,7 +64,7 @@ class Neck:
 
 
 def checked_neck_angles(angles: ArrayLike) -> Array:
-    """Return the neck angles (3,) [rad] of a frame; VergenceError if they are something else."""
+    """Check the neck angles (3,) [rad] of a frame; VergenceError if they are something else."""
     angles = np.array(angles, float)  # a copy, since a driver may write the next into the array
     if angles.shape != (len(NECK_JOINTS),) or not np.isfinite(angles).all():
         raise VergenceError(
@@ -79,7 +76,7 @@ def checked_neck_angles(angles: ArrayLike) -> Array:
 
 
 def chain_angles(neck: Neck, neck_angles: Array) -> Array:
-    """Return the angles (..., n) [rad] of a neck's own joints, from the body outwards.
+    """Select the angles (..., n) [rad] of a neck's own joints, from the body outwards.
 
     Args:
         neck: the neck.
@@ -94,7 +91,7 @@ def chain_angles(neck: Neck, neck_angles: Array) -> Array:
 
 
 def check_named(neck: Neck) -> None:
-    """Refuse a neck of whose joints a frame does not tell the angles, with a VergenceError."""
+    """Raise VergenceError for a neck whose joints a frame has no angles of."""
     if len(neck.names) != len(neck.axes):
         raise VergenceError(
             f"The neck of this calibration has {counted(len(neck.axes), 'joint')} without names, "
@@ -104,6 +101,6 @@ def check_named(neck: Neck) -> None:
 
 
 def T_body_head(neck: Neck, angles: Array) -> Array:
-    """Return the pose (..., 4, 4) of the head in frame body at neck angles (..., n) [rad]."""
+    """Compute the pose (..., 4, 4) of the head in frame body at neck angles (..., n) [rad]."""
     n = len(neck.axes)
     return chain_pose(Chain(neck.axes, neck.points_m, neck.head_m, np.eye(n), np.zeros(n)), angles)

@@ -33,30 +33,26 @@ def parameter_names(head: HeadCalibration) -> tuple[str, ...]:
 
 
 def named_columns(head: HeadCalibration, names: Sequence[str]) -> list[int]:
-    """Return where named parameters are among all of a head; VergenceError: an unknown name."""
-    return list(_columns(parameter_names(head), tuple(names)))
+    """Find named parameters among all of a head; VergenceError: an unknown name."""
+    known = _places(parameter_names(head))
+    if unknown := [name for name in names if name not in known]:
+        raise VergenceError(f"This head has no parameter {unknown[0]!r}.")
+    return [known[name] for name in names]
 
 
 @lru_cache(maxsize=64)
-def _columns(everything: tuple[str, ...], names: tuple[str, ...]) -> tuple[int, ...]:
-    known = {name: k for k, name in enumerate(everything)}
-    unknown = [name for name in names if name not in known]
-    if unknown:
-        raise VergenceError(f"This head has no parameter {unknown[0]!r}.")
-    return tuple(known[name] for name in names)
+def _places(names: tuple[str, ...]) -> dict[str, int]:
+    return {name: k for k, name in enumerate(names)}
 
 
 def is_gain(name: str) -> bool:
-    """Return whether a parameter says by how much a joint turns per reading.
-
-    A gain or, where a joint has several readings, the factor of one of them.
-    """
+    """Check whether a parameter is the gain of a joint, or the factor of one of its readings."""
     owner, _, own = name.partition(".")
     return owner in EYES and (own.endswith("_gain") or "_factor_" in own)
 
 
 def camera_columns(head: HeadCalibration, camera: str) -> np.ndarray:
-    """Return which parameters (n + 12 + a,) the pixels of a camera depend on.
+    """Find the parameters (n + 12 + a,) that the pixels of a camera depend on.
 
     The n of its lens, those of T_eye_cam and of T_rbase_lbase, and the a of the joints of its eye.
     """
@@ -66,7 +62,6 @@ def camera_columns(head: HeadCalibration, camera: str) -> np.ndarray:
 
 @lru_cache(maxsize=64)
 def _owned(names: tuple[str, ...], owners: tuple[str, ...]) -> tuple[int, ...]:
-    """Return where the parameters of cameras, bases and eyes are, in the order of these."""
     return tuple(
         k for owner in owners for k, name in enumerate(names) if name.startswith(f"{owner}.")
     )
@@ -77,13 +72,13 @@ def _size(mounted: MountedCamera) -> int:
 
 
 def lens_vector(camera: Camera) -> Array:
-    """Return (n,) in the order of intrinsics_names."""
+    """Collect the intrinsics (n,) in the order of intrinsics_names."""
     K = camera.matrix
     return np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *camera.distortion])
 
 
 def lens_of_vector(camera: Camera, values: Array) -> Camera:
-    """Return a camera with other values (n,); ValueError if a focal length is not positive."""
+    """Make a camera with other values (n,); ValueError if a focal length is not positive."""
     fx, fy, cx, cy, *distortion = values
     matrix = np.array([[fx, camera.matrix[0, 1], cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     new = {"matrix": matrix, "distortion": np.array(distortion)}
@@ -92,7 +87,7 @@ def lens_of_vector(camera: Camera, values: Array) -> Camera:
 
 
 def boxplus(head: HeadCalibration, change: Array) -> HeadCalibration:
-    """Return a head whose parameters are changed by (c,), in the order of parameter_names.
+    """Change the parameters of a head by (c,), in the order of parameter_names.
 
     ValueError if a focal length would not stay positive, or a change is not possible.
     """
@@ -127,7 +122,7 @@ def boxplus(head: HeadCalibration, change: Array) -> HeadCalibration:
 
 
 def change_named(head: HeadCalibration, names: Sequence[str], change: Array) -> HeadCalibration:
-    """Return a head with named parameters changed by (c,); VergenceError: an unknown name."""
+    """Change named parameters of a head by (c,); VergenceError: an unknown name."""
     full = np.zeros(len(parameter_names(head)))
     full[named_columns(head, names)] = change
     return boxplus(head, full)
@@ -136,16 +131,13 @@ def change_named(head: HeadCalibration, names: Sequence[str], change: Array) -> 
 def change_between(
     head: HeadCalibration, reference: HeadCalibration, names: Sequence[str]
 ) -> Array:
-    """Return the change (c,) of named parameters by which `change_named` makes a reference a head.
-
-    Offsets of the joints are taken as they are.
-    """
+    """Compute the change (c,) of named parameters from a reference to a head."""
     change = dict(zip(parameter_names(head), _apart(head, reference).tolist(), strict=True))
     return np.array([change[name] for name in names])
 
 
 def _apart(head: HeadCalibration, reference: HeadCalibration) -> Array:
-    """Return the change of all parameters that leads from a reference to a head: see `boxminus`."""
+    """Compute the change of all parameters from a reference to a head: see `boxminus`."""
     others = {name: reference.camera(name) for name in head.cameras}
     for name, mounted in head.cameras.items():
         models = mounted.intrinsics.model, others[name].intrinsics.model
@@ -167,7 +159,7 @@ def _apart(head: HeadCalibration, reference: HeadCalibration) -> Array:
 
 
 def boxminus(head: HeadCalibration, reference: HeadCalibration) -> dict[str, float]:
-    """Return by name how much each parameter of a head differs from that of a reference.
+    """Compute by name how much each parameter of a head differs from that of a reference.
 
     Offsets of the joints are counted as turns of the bases and mountings: see without_offsets. The
     reference has at least the same cameras. VergenceError if a camera has another lens model there.
@@ -177,13 +169,13 @@ def boxminus(head: HeadCalibration, reference: HeadCalibration) -> dict[str, flo
 
 
 def parameter_values(head: HeadCalibration) -> dict[str, float | None]:
-    """Return by name the value of each parameter; None for those of poses."""
+    """Collect by name the value of each parameter; None for those of poses."""
     values = [None if np.isnan(value) else value for value in _vector(head).tolist()]
     return dict(zip(parameter_names(head), values, strict=True))
 
 
 def _vector(head: HeadCalibration) -> Array:
-    """Return (c,) the values of the parameters; NaN for those of poses."""
+    """Collect the values (c,) of the parameters; NaN for those of poses."""
     pose = np.full(len(POSE), np.nan)
     own = [part for each in head.cameras.values() for part in (lens_vector(each.intrinsics), pose)]
     axes = [
@@ -195,7 +187,7 @@ def _vector(head: HeadCalibration) -> Array:
 
 
 def redundant_offsets(kinematics: Kinematics) -> set[str]:
-    """Return the names of offsets that no image shows: see `without_offsets`."""
+    """List the names of offsets that no image shows: see `without_offsets`."""
     return {
         f"{eye}.{joints[k].name}_offset_rad"
         for eye, joints in kinematics.eyes.items()
@@ -205,7 +197,7 @@ def redundant_offsets(kinematics: Kinematics) -> set[str]:
 
 
 def without_offsets(head: HeadCalibration) -> HeadCalibration:
-    """Return a head that does the same without offsets of its first and last joints.
+    """Move the offsets of the first and last joints into the bases and mountings.
 
     Rz(pan + o) = Rz(o) Rz(pan) turns the base frame; an offset of tilt, whose axis is fixed behind
     pan, turns the mountings of the cameras. Two calibrations can be compared only in the same

@@ -11,7 +11,7 @@ from vergence.arrays import Array
 from vergence.findings import Finding, void, warning
 from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.joints import parallel_distance_m
+from vergence.geometry.joints import common_normal
 from vergence.geometry.kinematics import EYES, straight_gaze
 from vergence.geometry.se3 import angle
 from vergence.stereo.extrinsics import stereo_cameras
@@ -113,7 +113,7 @@ def _exchanged_axes(head: HeadCalibration, std: Mapping[str, float]) -> list[Fin
     said, used = [], {mounted.eye for mounted in head.cameras.values()}
     for eye in EYES:
         for before, joint in pairwise(head.kinematics.eyes[eye] if eye in used else ()):
-            apart = parallel_distance_m(before, joint)
+            apart = common_normal(before, joint).parallel_m
             if apart is None:
                 continue
             beyond = -(apart + joint.axis_distance_m)
