@@ -19,6 +19,7 @@ from texts import texts
 from vergence.arrays import Array
 from vergence.calibration.bundle_adjustment import (
     BundleEstimate,
+    NoiseModel,
     bundle_adjust,
     covariance_of,
     fixed_by_default,
@@ -245,7 +246,7 @@ def test_a_view_in_which_the_board_moved_is_named():
     for corners in observed.corners.values():
         middle = corners[20].mean(axis=0)
         corners[20] = (corners[20] - middle) @ turned + middle + [5, -8]
-    said, *_ = texts(bundle_adjust(start, observed, pixel_std_px=0.1, joint_std=1e-3).findings)
+    said, *_ = texts(bundle_adjust(start, observed, noise=NoiseModel(0.1, 1e-3)).findings)
     assert re.search(r"lost their weight, \d+ of them in view 20: the board may have", said)
 
 
@@ -254,7 +255,7 @@ def test_noise_that_is_given_may_be_far_below_the_errors_of_the_start():
     noise = Noise(pixel_px=0.01, joint_rad=0.01)
     head, observed, start = simulated(34, noise)
     observed = observed.take(np.arange(12, 40))  # two boards, each in many views
-    found = bundle_adjust(start, observed, pixel_std_px=0.01, joint_std=0.01)
+    found = bundle_adjust(start, observed, noise=NoiseModel(0.01, 0.01))
     assert not texts(found.findings, "void")
     assert_within_stated(found, head)
 

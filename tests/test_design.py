@@ -23,7 +23,7 @@ from vergence.accuracy.design_sweep import (
 )
 from vergence.accuracy.plan_views import as_seen, shows_whole_board
 from vergence.arrays import Array
-from vergence.calibration.bundle_adjustment import bundle_adjust
+from vergence.calibration.bundle_adjustment import NoiseModel, bundle_adjust
 from vergence.geometry.board import Chessboard
 from vergence.geometry.projection import project_point
 from vergence.stereo.triangulation import triangulate_at
@@ -102,7 +102,7 @@ def test_noise_and_calibration_are_the_covariance_of_located_points(baseline_m, 
     head = designed_head(baseline_m, focal_px, AHEAD_M, (640, 480))
     views = standard_recording(head, BOARD)
     assert shows_whole_board(head, BOARD, views).mean() > 0.9
-    estimate = bundle_adjust(head, as_seen(head, BOARD, views), pixel_std_px=0.1, joint_std=1e-3)
+    estimate = bundle_adjust(head, as_seen(head, BOARD, views), noise=NoiseModel(0.1, 1e-3))
     calibrated = replace(head, accuracy=estimate.accuracy)
     points, off = located_points(SMALL)
     points, off = points.reshape(-1, 3), np.tile(off, (2, 1))

@@ -2,14 +2,13 @@
 
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 
 from vergence.calibration.intrinsics import calibrate_camera
 from vergence.calibration.lens_choice import best_lens, choose_lenses
 from vergence.calibration.lens_statistics import FOLDS, held_out_squares, jackknife_covariance
-from vergence.calibration.lenses import fit_lens, fit_model, free_intrinsics, repeatable
+from vergence.calibration.lenses import fit_lens, fit_model, free_intrinsics
 from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard, corner_points
@@ -353,17 +352,3 @@ def test_a_board_before_a_fisheye_lens_is_found_exactly():
     T = boards(10, rng)
     found = board_poses(LENSES["fisheye"], views(LENSES["fisheye"], T), POINTS)
     np.testing.assert_allclose(found, T, atol=1e-9)
-
-
-def test_opencv_has_its_threads_again_when_the_last_of_two_calibrations_has_ended():
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(2)
-    try:
-        first, second = repeatable(), repeatable()
-        with first:
-            second.__enter__()
-        assert cv2.getNumThreads() == 1
-        second.__exit__(None, None, None)
-        assert cv2.getNumThreads() == 2
-    finally:
-        cv2.setNumThreads(before)

@@ -226,9 +226,9 @@ def test_a_motion_below_its_noise_voids_the_result():
 @pytest.mark.parametrize(
     ("reach", "words"),
     [
-        ((0.25, 0), ["T_eye_cam rotation about z and translation along z", "all tilt motion"]),
-        ((0, 0.25), ["T_eye_cam rotation about y and translation along y", "all pan motion"]),
-        ((0, 0), ["rotation about x", "rotation about z", "translation along y", "move pan"]),
+        ((0.25, 0), ["T_eye_cam rotation about z and translation along z", "share one axis"]),
+        ((0, 0.25), ["T_eye_cam rotation about y and translation along y", "share one axis"]),
+        ((0, 0), ["rotation about x", "rotation about z", "translation along y", "turns by 0.0"]),
     ],
 )
 def test_an_axis_that_does_not_move_is_named_with_what_it_hides(reach, words):
@@ -236,7 +236,6 @@ def test_an_axis_that_does_not_move_is_named_with_what_it_hides(reach, words):
     found = solve(recording, start=recording.T_eye_cam)
     text = " ".join(texts(found.findings))
     assert "not observable" in text
-    assert "is no larger than its noise (0.00" in text
     assert all(word in text for word in words)
     assert "by at least 0.1 rad" in text
 
@@ -254,14 +253,14 @@ def test_a_motion_that_is_small_but_seen_leaves_a_large_stated_error():
     recording = record(7, joint_std=0.001, pixel_std_px=0.1, reach=(0.25, 0.005))
     found = solve(recording)
     assert stated_probability(found, recording) < 0.99
-    assert any("tilt of the eye moves by 0.0" in text for text in texts(found.findings))
+    assert any("share one axis to within 0.0" in text for text in texts(found.findings))
 
 
 def test_pan_and_tilt_that_move_together_are_named():
     together = record(8, joint_std=0.002, pixel_std_px=0.1, views=12, together=True)
     text = " ".join(texts(solve(together, start=together.T_eye_cam).findings))
     assert "observable" in text
-    assert "pan and tilt of the eye move together" in text
+    assert "share one axis" in text
 
 
 def test_two_views_are_too_few_and_said_so():

@@ -9,7 +9,7 @@ import head_kinds
 from head_kinds import GRID, lens_head, recording, tried
 from simulated_recording import EXACT
 from texts import texts
-from vergence.calibration.bundle_adjustment import bundle_adjust
+from vergence.calibration.bundle_adjustment import NoiseModel, bundle_adjust
 from vergence.calibration.calibrate import CalibrationResult, calibrate
 from vergence.calibration.checks import cross_validation
 from vergence.calibration.checks.lens_map import (
@@ -82,7 +82,7 @@ def test_bundle_adjustment_is_exact_with_every_lens(kind):
     head = lens_head(kind, rng)
     seen = recording(head, rng, EXACT)
     # With 0.1 px of noise the prior of a fisheye lens would count for some 1e-5 px.
-    found = bundle_adjust(head, seen, pixel_std_px=1e-3, joint_std=1e-5)
+    found = bundle_adjust(head, seen, noise=NoiseModel(1e-3, 1e-5))
     lens = {
         name: value
         for name, value in boxminus(found.head, head).items()

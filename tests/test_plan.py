@@ -25,7 +25,7 @@ from vergence.accuracy.plan_views import (
     shows_whole_board,
 )
 from vergence.accuracy.plan_workspace import largest_std, workspace
-from vergence.calibration.bundle_adjustment import bundle_adjust
+from vergence.calibration.bundle_adjustment import NoiseModel, bundle_adjust
 from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
@@ -39,7 +39,7 @@ from vergence.geometry.se3 import inverse, transform
 from vergence.stereo.uncertainty import locate
 
 PIXEL_PX, JOINT_RAD = 0.1, 2e-3
-NOISE = {"pixel_std_px": PIXEL_PX, "joint_std": JOINT_RAD}
+NOISE = {"noise": NoiseModel(PIXEL_PX, JOINT_RAD)}
 LIMITS = np.radians([25.0, 20.0, 25.0, 20.0])
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vergence.arrays import Array
+from vergence.arrays import Array, single_blas_thread
 from vergence.calibration.bundle_findings import BundleFindings
 from vergence.calibration.bundle_start import BundleProblem, PoseObservations, bundle_problem
 from vergence.calibration.observations import Observations
@@ -51,6 +51,21 @@ GENEROUS_JOINT = 0.01
 level is known."""
 USUAL_JOINT = 0.002
 """Assumed where the data do not determine the joint noise [rad or m]: 0.1 degrees."""
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """What is known of the noise before the data are."""
+
+    pixel_std_px: float | None = None
+    """Of one coordinate of a corner; None: estimated."""
+    joint_std: float | Sequence[float] | None = None
+    """Of the readings [rad], one number or one of each kind (see `kinematics.reading_kinds`), or,
+    for poses, ([rad], [m]); None: estimated; 0: the readings are exact."""
+    own_levels_from: float = OWN_LEVELS
+    """Eyes times views from which each kind of reading has a noise of its own."""
+    outlier: float = OUTLIER
+    """Standard deviations beyond which a corner or a reading loses weight."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +122,10 @@ class BundleEstimate:
         )
 
 
+_ESTIMATED = NoiseModel()
+
+
+@single_blas_thread()
 def bundle_adjust(
     start: HeadCalibration,
     observations: Observations | PoseObservations,
@@ -114,10 +133,7 @@ def bundle_adjust(
     T_cam_target: Mapping[str, Array] | None = None,
     points: Array | None = None,
     fixed: Collection[str] | None = None,
-    pixel_std_px: float | None = None,
-    joint_std: float | Sequence[float] | None = None,
-    own_levels_from: float = OWN_LEVELS,
-    outlier: float = OUTLIER,
+    noise: NoiseModel = _ESTIMATED,
     priors: Sequence[Residual] = (),
 ) -> BundleEstimate:
     """Estimate a whole head at once: lenses, mountings, the pose between the eyes, axes, time.
@@ -130,12 +146,7 @@ def bundle_adjust(
             for before from corners.
         points: (K, 3) corners in frame target [m]; None: those of the board.
         fixed: names of parameters that keep their start; None: fixed_by_default.
-        pixel_std_px: noise of one coordinate of a corner; None: estimated.
-        joint_std: noise of the readings [rad], one number or one of each kind (see
-            `kinematics.reading_kinds`), or, for poses, ([rad], [m]); None: estimated; 0: the
-            readings are exact.
-        own_levels_from: eyes times views from which each kind of reading has a noise of its own.
-        outlier: standard deviations beyond which a corner or a reading loses weight.
+        noise: what is known of it.
         priors: other measurements of the head, such as `residuals.EyeDistance`.
 
     Raises:
@@ -150,6 +161,7 @@ def bundle_adjust(
             f"There is no parameter {min(unknown)!r} to fix; there are, for example, "
             "left_wide.fx, left_wide.T_eye_cam.rx, left.pan_gain and time_offset_s."
         )
+    joint_std = noise.joint_std
     given = None if joint_std is None else np.maximum(np.atleast_1d(joint_std), EXACT)
     problem = bundle_problem(
         start,
@@ -157,11 +169,11 @@ def bundle_adjust(
         fixed=fixed,
         points=points,
         T_cam_target=T_cam_target,
-        least_blocks=own_levels_from if given is None else np.inf if len(given) == 1 else 0,
+        least_blocks=noise.own_levels_from if given is None else np.inf if len(given) == 1 else 0,
     )
-    levels = _levels(problem, pixel_std_px, given)
+    levels = _levels(problem, noise.pixel_std_px, given)
     residuals = (*problem.residuals, *priors)
-    found = adjust(residuals, problem.start, levels, outlier=outlier)
+    found = adjust(residuals, problem.start, levels, outlier=noise.outlier)
     return _estimate(problem, start, observations, found, levels)
 
 

@@ -9,6 +9,7 @@ from typing import get_args
 
 import numpy as np
 
+from vergence.arrays import single_blas_thread
 from vergence.calibration.bundle_adjustment import BundleEstimate, bundle_adjust
 from vergence.calibration.checked_views import CheckedViews, Method, checked_views
 from vergence.calibration.checks import axes_and_eyes, board_flips, board_shape, excitation
@@ -65,6 +66,7 @@ class CalibrationResult:
         return "\n".join(summary_lines(self.head, self.observations))
 
 
+@single_blas_thread()
 def calibrate(
     data: Dataset | Observations,
     *,

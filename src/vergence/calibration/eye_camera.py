@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence.arrays import Array
 from vergence.calibration.bundle_adjustment import (
-    BundleEstimate,
+    NoiseModel,
     bundle_adjust,
     check_noise,
     covariance_of,
 )
 from vergence.calibration.hand_eye import robust_park_martin
 from vergence.calibration.observations import Observations
-from vergence.errors import VergenceError, counted
+from vergence.calibration.residuals import ParametersPrior
+from vergence.errors import VergenceError
 from vergence.estimation.residual import OUTLIER
 from vergence.findings import Finding, warning
 from vergence.geometry.board import Chessboard
@@ -26,10 +25,9 @@ from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration, MountedCamera
 from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import Kinematics, T_base_eye, check_turns, pan_tilt
-from vergence.geometry.parameter_names import POSE, intrinsics_names
-from vergence.geometry.parameters import change_named, parameter_names
-from vergence.geometry.se3 import boxminus, check_rigid, known_poses
-from vergence.stereo.linearised import covariance_factor
+from vergence.geometry.parameter_names import intrinsics_names
+from vergence.geometry.parameters import parameter_names
+from vergence.geometry.se3 import check_rigid, known_poses
 from vergence.vision.board_pose import board_poses
 
 _NAME = "camera"
@@ -83,7 +81,8 @@ def refine_eye_camera(
         joints: of the eye, whose readings are named in the order of their columns; None: pan and
             tilt. Of no use with poses.
         intrinsics_covariance: (n, n) of the intrinsics in the order of
-            `geometry.parameter_names.intrinsics_names`; None: they are taken as exact.
+            `geometry.parameter_names.intrinsics_names`, as their prior; None: they are taken as
+            exact.
         pixel_std_px: noise of one coordinate of a corner; None: estimated.
         joint_std: noise of the readings, [rad] or, for poses, ([rad], [m]), of which those of a pan
             and a tilt use the first; None: estimated; 0: the readings are exact.
@@ -120,33 +119,25 @@ def refine_eye_camera(
         T_rbase_lbase=np.eye(4),
         kinematics=kinematics,
     )
-    adjust = partial(
-        bundle_adjust,
-        observations=_observations(pixels, camera, kinematics, angles, T_read),
-        points=points,
-        fixed=[name for name in parameter_names(head) if ".T_eye_cam." not in name],
-        own_levels_from=np.inf,
-        outlier=outlier,
-    )
-    found = adjust(
+    uncertain, priors = _intrinsics_prior(head, intrinsics_covariance)
+    kept = [name for name in parameter_names(head) if ".T_eye_cam." not in name]
+    found = bundle_adjust(
         head,
+        _observations(pixels, camera, kinematics, angles, T_read),
+        points=points,
+        fixed=set(kept) - set(uncertain),
         T_cam_target={_NAME: T_cam_target},
-        pixel_std_px=pixel_std_px,
-        joint_std=joint_std,
+        noise=NoiseModel(pixel_std_px, joint_std, own_levels_from=np.inf, outlier=outlier),
+        priors=priors,
     )
-    covariance = covariance_of(found, f"{_NAME}.T_eye_cam")
     findings = found.findings
     if intrinsics_covariance is None:
         sentence = "The covariance leaves out that of the intrinsics, taken as exact."
         findings += (warning("exact-intrinsics", sentence),)
-    else:
-        levels = {"pixel_std_px": found.pixel_std_px, "joint_std": found.joint_std}
-        again = partial(adjust, **levels)
-        covariance = covariance + _of_intrinsics(found.head, intrinsics_covariance, again)
     T_found = found.T_base_eye[:, 0]
     return EyeCamera(
         T_eye_cam=found.head.cameras[_NAME].T_eye_cam,
-        covariance=covariance,
+        covariance=covariance_of(found, f"{_NAME}.T_eye_cam"),
         T_base_target=found.T_lbase_target[0],
         T_base_eye=np.where(np.isnan(T_found), T_read, T_found),
         residuals_px=found.residuals_px[_NAME],
@@ -176,30 +167,24 @@ def _observations(
     )
 
 
-def _of_intrinsics(
-    head: HeadCalibration, covariance: Array, adjust: Callable[[HeadCalibration], BundleEstimate]
-) -> Array:
-    """Return what errors of the intrinsics add (6, 6) to the covariance of T_eye_cam.
-
-    By differences along the principal axes of their covariance, one standard deviation each way.
-    """
+def _intrinsics_prior(
+    head: HeadCalibration, covariance: Array | None
+) -> tuple[list[str], list[ParametersPrior]]:
+    """Return which intrinsics are uncertain, and their prior; VergenceError for a wrong one."""
     names = [f"{_NAME}.{name}" for name in intrinsics_names(head.cameras[_NAME].intrinsics)]
+    if covariance is None:
+        return [], []
     covariance = np.asarray(covariance, dtype=float)
     if covariance.shape != (len(names), len(names)) or not np.isfinite(covariance).all():
         raise VergenceError(
             f"The covariance of the intrinsics {', '.join(names)} is {len(names)} x {len(names)} "
             f"finite numbers, found {covariance.shape}."
         )
-    moves = covariance_factor(covariance).T
-    found = np.zeros((len(POSE), len(POSE)))
-    for move in moves[np.abs(moves).max(axis=1) > 0]:
-        ends = [
-            adjust(change_named(head, names, sign * move)).head.cameras[_NAME].T_eye_cam
-            for sign in (1, -1)
-        ]
-        change = boxminus(ends[0], ends[1]) / 2
-        found += np.outer(change, change)
-    return found
+    free = np.flatnonzero(np.diag(covariance) > 0)
+    if not len(free):
+        return [], []
+    uncertain, among = [names[k] for k in free], covariance[np.ix_(free, free)]
+    return uncertain, [ParametersPrior(names=tuple(uncertain), head=head, covariance=among)]
 
 
 def _readings_of(T: Array, kinematics: Kinematics) -> Array | None:
@@ -213,30 +198,28 @@ def _readings_of(T: Array, kinematics: Kinematics) -> Array | None:
 
 
 def _check(eye: Array, pixels: Array, points: Array, kinematics: Kinematics) -> None:
+    """Raise VergenceError for arrays whose shapes do not fit, or that are not finite."""
     N, K = (len(each) if each.ndim else 0 for each in (eye, points))
     r = len(kinematics.readings)
-    if eye.shape not in ((N, r), (N, 4, 4)) or not np.isfinite(eye).all():
-        raise VergenceError(
-            f"refine_eye_camera needs finite readings of shape (N, {r}), or poses of shape "
-            f"(N, 4, 4), found {eye.shape}."
-        )
+    for what, array, shapes, finite in (
+        ("readings (N, r), or poses (N, 4, 4),", eye, ((N, r), (N, 4, 4)), True),
+        ("points (K, 3)", points, ((K, 3),), True),
+        ("pixels (N, K, 2)", pixels, ((N, K, 2),), False),
+    ):
+        if array.shape not in shapes or (finite and not np.isfinite(array).all()):
+            expected = " or ".join(map(str, shapes))
+            raise VergenceError(
+                f"refine_eye_camera needs {'finite ' * finite}{what} of shape {expected}, found "
+                f"{array.shape}."
+            )
     if eye.ndim == 2:
         check_turns(kinematics, eye)
     else:
         check_rigid("eye", eye)
-    if points.shape != (K, 3) or not np.isfinite(points).all():
-        raise VergenceError(
-            f"refine_eye_camera needs finite points of shape (K, 3), found {points.shape}."
-        )
-    if pixels.shape != (N, K, 2):
-        raise VergenceError(
-            f"refine_eye_camera needs pixels of shape ({N}, {K}, 2) for {counted(N, 'view')} of "
-            f"{counted(K, 'point')}, "
-            f"found {pixels.shape}."
-        )
 
 
 def _checked_start(start: ArrayLike) -> Array:
+    """Return a start as an array; VergenceError if it is not a pose."""
     T = np.asarray(start, dtype=float)
     if T.shape != (4, 4) or not np.isfinite(T).all():
         raise VergenceError(f"start is T_eye_cam, 4 x 4 finite numbers; found {T.tolist()}.")

@@ -7,10 +7,7 @@ order, how well a view would have been predicted without it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from threading import Lock
 from typing import Literal
 
 import cv2
@@ -68,30 +65,6 @@ FISHEYE_DEG = (100.0, 140.0, 175.0)
 FOCAL_FACTORS = 1.0, 2.0, 4.0, 0.5
 """On the focal lengths of Zhang's closed form: noise makes these short by a factor of up to four
 where views show a few corners each."""
-
-_lock = Lock()
-_threads_before: list[int] = []
-"""How many threads OpenCV had when each calibration began that is still fitting."""
-
-
-@contextmanager
-def repeatable() -> Iterator[None]:
-    """Let OpenCV use one thread: with several its sums differ in their last digits every time.
-
-    It is a setting of the whole process, which comes back when the last of the calibrations that
-    run at the same time leaves.
-    """
-    with _lock:
-        _threads_before.append(cv2.getNumThreads())
-        cv2.setNumThreads(1)
-    try:
-        yield
-    finally:
-        with _lock:
-            if len(_threads_before) == 1:
-                cv2.setNumThreads(_threads_before[0])
-            _threads_before.pop()  # the first is that of the process and stays until the end
-
 
 Start = tuple[Camera, Array]
 """A camera and the poses (V, 4, 4) of the boards before it."""
@@ -211,12 +184,11 @@ def pinhole_start(corners: Array, points: Array, size: tuple[int, int]) -> Start
     """
     seen = seen_corners(corners)
     try:
-        with repeatable():
-            matrix = cv2.initCameraMatrix2D(
-                [points[each].astype(np.float32) for each in seen],
-                [view[each].astype(np.float32) for view, each in zip(corners, seen, strict=True)],
-                size,
-            )
+        matrix = cv2.initCameraMatrix2D(
+            [points[each].astype(np.float32) for each in seen],
+            [view[each].astype(np.float32) for view, each in zip(corners, seen, strict=True)],
+            size,
+        )
         matrix = np.asarray(matrix, float)
         cameras = [Camera(*size, matrix * [[f, 1, 1], [1, f, 1], [1, 1, 1]]) for f in FOCAL_FACTORS]
     except (cv2.error, ValueError):

@@ -12,6 +12,7 @@ Poses change by the increment of `se3.boxplus`.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +27,12 @@ from vergence.geometry.eye_motion import eye_linearised
 from vergence.geometry.head import HeadCalibration, MountedCamera
 from vergence.geometry.kinematics import EYES, T_base_eye
 from vergence.geometry.parameter_names import joint_names
-from vergence.geometry.parameters import camera_columns, lens_vector
+from vergence.geometry.parameters import (
+    camera_columns,
+    change_between,
+    lens_vector,
+    named_columns,
+)
 from vergence.geometry.projection import (
     T_lbase_cam,
     by_parameters,
@@ -404,3 +410,29 @@ class EyeDistance(Residual):
         between = camera_columns(head, name)[lens + 9 : lens + 12]  # after the mounting, turns
         by_t = t / np.linalg.norm(t) / self.std_m
         return Rows(by_t[None, None], x.columns("head")[between][None])
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ParametersPrior(Residual):
+    """Parameters of the head that were estimated before, with their covariance."""
+
+    names: tuple[str, ...]
+    """(p,) see geometry.parameters."""
+    head: HeadCalibration
+    """With their values."""
+    covariance: Array
+    """(p, p); directions without variance count as known to a millionth of the largest."""
+    robust: bool = False
+
+    @cached_property
+    def _whitening(self) -> Array:
+        std = np.sqrt(np.diag(self.covariance))
+        values, vectors = np.linalg.eigh(self.covariance / np.outer(std, std))
+        return vectors.T / np.sqrt(np.maximum(values, 1e-12))[:, None] / std
+
+    def error(self, x: Variables) -> Array:
+        return (self._whitening @ change_between(x["head"], self.head, self.names))[None]
+
+    def rows(self, x: Variables) -> Rows:
+        columns = x.columns("head")[named_columns(self.head, self.names)]
+        return Rows(self._whitening[None], columns[None])

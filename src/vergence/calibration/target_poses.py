@@ -14,9 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from vergence.arrays import Array
+from vergence.arrays import Array, single_blas_thread
 from vergence.calibration.bundle_adjustment import (
     BundleEstimate,
+    NoiseModel,
     bundle_adjust,
     check_noise,
     fixed_by_default,
@@ -82,6 +83,7 @@ class TargetPoseEstimate:
     """What the data cannot determine, and why; the most severe first."""
 
 
+@single_blas_thread()
 def adjust_target_poses(
     T_cam_target: Mapping[str, Array],
     eye: Array,
@@ -149,8 +151,7 @@ def adjust_target_poses(
                 T_base_eye=eye if measured_eyes else None,
             ),
             fixed={*kept, *fixed_by_default(start, timed=False), *fixed},
-            pixel_std_px=factor,
-            joint_std=joint_std,
+            noise=NoiseModel(factor, joint_std),
         )
 
     if covariance is None:

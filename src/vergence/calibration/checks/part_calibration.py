@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.bundle_adjustment import BundleEstimate, bundle_adjust
+from vergence.calibration.bundle_adjustment import BundleEstimate, NoiseModel, bundle_adjust
 from vergence.calibration.checks.cross_validation import (
     PartCalibration,
     calibrate_folds,
@@ -52,7 +52,9 @@ def predicting_better(
             "poses."
         )
         said.append(note("board-size", sentence))
-    exact = bundle_adjust(start, observations, T_cam_target=T_cam_target, joint_std=0.0)
+    exact = bundle_adjust(
+        start, observations, T_cam_target=T_cam_target, noise=NoiseModel(joint_std=0.0)
+    )
     try:
         found = []
         for each in (estimate, exact):
@@ -86,8 +88,7 @@ def bundle_of_part(
         estimate.head,
         part,
         T_cam_target={name: T[rows] for name, T in T_cam_target.items()},
-        pixel_std_px=estimate.pixel_std_px,
-        joint_std=levels,
+        noise=NoiseModel(estimate.pixel_std_px, levels),
     )
     head = replace(found.head, accuracy=replace(found.accuracy, joint_std=levels))
     return PartCalibration(head, found.T_lbase_target, found.board_scale)
