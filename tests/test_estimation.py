@@ -37,7 +37,7 @@ class Sums(Residual):
 
     def rows(self, x: Variables) -> Rows:
         B, k, _ = self.A.shape
-        return Rows(self.A, np.tile(x.columns("s"), (B, 1)), np.ones((B, k, 1)))
+        return Rows(self.A.copy(), np.tile(x.columns("s"), (B, 1)), np.ones((B, k, 1)))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

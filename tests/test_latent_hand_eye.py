@@ -228,7 +228,7 @@ def test_a_motion_below_its_noise_voids_the_result():
     [
         ((0.25, 0), ["T_eye_cam rotation about z and translation along z", "share one axis"]),
         ((0, 0.25), ["T_eye_cam rotation about y and translation along y", "share one axis"]),
-        ((0, 0), ["rotation about x", "rotation about z", "translation along y", "turns by 0.0"]),
+        ((0, 0), ["rotation about x", "rotation about z", "translation along y", "rad only"]),
     ],
 )
 def test_an_axis_that_does_not_move_is_named_with_what_it_hides(reach, words):
@@ -284,7 +284,7 @@ def test_general_poses_about_one_axis_are_named():
     [
         ({"readings": np.zeros((20, 3))}, "found \\(20, 3\\)"),
         ({"readings": np.full((20, 2), np.nan)}, "finite readings"),
-        ({"pixels": np.zeros((19, 54, 2))}, "for 20 views of 54 points"),
+        ({"pixels": np.zeros((19, 54, 2))}, r"pixels of shape \(20, 54, 2\), found"),
         ({"pixels": np.full((20, 54, 2), np.nan)}, "at least 3 views"),
     ],
 )
@@ -298,8 +298,8 @@ def test_data_that_do_not_fit_are_refused(changes: dict, message: str):
     [
         ({"eye": np.full((20, 2), 15.0)}, "in radians; found a joint at 15, more than a turn"),
         ({"eye": np.tile(np.diag([2.0, 2, 2, 1]), (20, 1, 1))}, "eye has a rotation part that is"),
-        ({"eye": 0.0}, r"or poses of shape \(N, 4, 4\), found \(\)"),
-        ({"points": POINTS[:, :2]}, r"finite points of shape \(K, 3\), found \(54, 2\)"),
+        ({"eye": 0.0}, r"or poses, of shape .*found \(\)"),
+        ({"points": POINTS[:, :2]}, r"finite points of shape \(54, 3\), found \(54, 2\)"),
         ({"points": POINTS * np.nan}, "finite points of shape"),
         ({"start": np.eye(3)}, "start is T_eye_cam, 4 x 4 finite numbers"),
         ({"start": np.full((4, 4), np.nan)}, "start is T_eye_cam, 4 x 4 finite numbers"),

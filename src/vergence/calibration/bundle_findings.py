@@ -30,12 +30,14 @@ LEAST_APART_S = 0.001
 """Least such time that is worth a warning: 0.06 degrees at a rad/s."""
 LOST = 0.02
 """Share of corners without weight that is reported; good ones lose it once in 3000."""
+NOISY, NOISY_RAD = 5.0, np.radians(0.2)
+"""Ratio of the noise of readings to that of all others, and noise, from which they are doubted."""
 MOST_NAMED = 3
 """Most readings that lost their weight and are named one by one; the rest are counted."""
 NAMED = 0.3
 """A direction's components of this size, relative to the largest, are named."""
 SMALL_RAD = 0.05
-"""Motion below this is small beside the +-0.25 rad of a good recording."""
+"""Motion below this is small; a good recording turns the eyes by +-0.25 rad."""
 ADVISED = "by at least 0.1 rad, better 0.25"
 """Median stated deviation of the worst axis, 20 views at 0.1 px and 0.1 degrees, board at 0.4 m:
 0.92 degrees and 2.6 mm for motion within 0.03 rad, 0.27 and 0.8 within 0.1, 0.10 and 0.3 within
@@ -68,6 +70,7 @@ class BundleFindings:
             _left_out(self, observations),
             _unobservable(self),
             _noise(self),
+            _noisy_readings(self),
             _lost_corners(self),
             _lost_readings(self),
             _apart_in_time(self),
@@ -272,6 +275,29 @@ def _noise(of: BundleFindings) -> Iterator[Finding]:
                 "the stated accuracy is rough; record more views."
             )
             yield warning("noise-roughly-known", sentence, what)
+
+
+def _noisy_readings(of: BundleFindings) -> Iterator[Finding]:
+    """Report readings that are far noisier than all others, relative to their joints.
+
+    Joints in another order than described turn like noise: by the square of the angles.
+    """
+    if of.poses_read or len(of.levels) < 3:
+        return
+    kinematics, postures = of.found.x["head"].kinematics, of.problem.readings.postures
+    columns = [np.unique(postures.columns[:, list(level.latent)]) for level in of.levels[1:]]
+    noise = np.array([of.found.levels[level.name] for level in of.levels[1:]])
+    noise *= [kinematics.factors[each].max() for each in columns]
+    worst = int(noise.argmax())
+    others = np.delete(noise, worst).max()
+    if noise[worst] > max(NOISY * others, NOISY_RAD):
+        names = listed([kinematics.readings[k] for k in columns[worst]])
+        sentence = (
+            f"The noise of {names} is {np.degrees(noise[worst]):.2g} degrees of a joint, that of "
+            f"other readings {np.degrees(others):.2g} at most: check the encoder, and in "
+            "`kinematics` the order of the joints of each eye and their axes."
+        )
+        yield warning("noisy-readings", sentence, names)
 
 
 def _lost_corners(of: BundleFindings) -> Iterator[Finding]:

@@ -202,9 +202,9 @@ def _check(eye: Array, pixels: Array, points: Array, kinematics: Kinematics) -> 
     N, K = (len(each) if each.ndim else 0 for each in (eye, points))
     r = len(kinematics.readings)
     for what, array, shapes, finite in (
-        ("readings (N, r), or poses (N, 4, 4),", eye, ((N, r), (N, 4, 4)), True),
-        ("points (K, 3)", points, ((K, 3),), True),
-        ("pixels (N, K, 2)", pixels, ((N, K, 2),), False),
+        ("readings, or poses,", eye, ((N, r), (N, 4, 4)), True),
+        ("points", points, ((K, 3),), True),
+        ("pixels", pixels, ((N, K, 2),), False),
     ):
         if array.shape not in shapes or (finite and not np.isfinite(array).all()):
             expected = " or ".join(map(str, shapes))

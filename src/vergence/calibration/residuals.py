@@ -23,6 +23,7 @@ from vergence.data import timing
 from vergence.data.timing import Stencil
 from vergence.estimation.residual import Levels, Residual, Rows
 from vergence.estimation.variables import Variables
+from vergence.geometry.batches import times
 from vergence.geometry.eye_motion import eye_linearised
 from vergence.geometry.head import HeadCalibration, MountedCamera
 from vergence.geometry.kinematics import EYES, T_base_eye
@@ -35,7 +36,6 @@ from vergence.geometry.parameters import (
 )
 from vergence.geometry.projection import (
     T_lbase_cam,
-    by_parameters,
     by_pose_of_points,
     project_at,
     project_with_jacobians,
@@ -96,7 +96,7 @@ class Detections:
     eye: Index
     """(C,) 0 for the left eye, 1 for the right one."""
     camera: Index
-    """(M,)."""
+    """(M,), in ascending order."""
     board: Index
     """(M,) placement of the target."""
     posture: Index
@@ -112,6 +112,11 @@ class Detections:
     def views(self) -> Index:
         """(M,)."""
         return self.postures.view[self.posture]
+
+    def of_camera(self, c: int) -> slice:
+        """Return which detections are those of a camera."""
+        first, end = np.searchsorted(self.camera, [c, c + 1])
+        return slice(first, end)
 
     def eye_poses(self, x: Variables) -> Array:
         """Return T_base_eye (M, 4, 4)."""
@@ -179,7 +184,7 @@ class Reprojection(Residual):
         T, (_, points) = self.detections.eye_poses(x), self.in_left_base(x)
         head, projected = x["head"], np.empty_like(self.pixels)
         for c, mounted in enumerate(head.cameras.values()):
-            mine = self.detections.camera == c
+            mine = self.detections.of_camera(c)
             projected[mine] = project_at(mounted, head.T_rbase_lbase, T[mine], points[mine])
         errors = np.where(self.seen[..., None], projected - self.pixels, 0.0)
         return errors.reshape(len(errors), -1)
@@ -194,17 +199,22 @@ class Reprojection(Residual):
         shared, latent = np.zeros((M, K, 2, s)), np.empty((M, K, 2, by_eye_latent.shape[-1]))
         index = np.zeros((M, s), dtype=np.intp)
         for c, mounted in enumerate(head.cameras.values()):
-            mine = detections.camera == c
-            width = len(columns[c]) + 7
+            mine = detections.of_camera(c)
             J = project_with_jacobians(mounted, head.T_rbase_lbase, T[mine], points[mine])
-            by_head = by_parameters(J, by_axes[detections.eye[c]][mine])
-            by_board = by_pose_of_points(J.by_point, turned[mine])
-            by_size = (J.by_point @ turned[mine][..., None]) / x["board_scale"]
-            shared[mine, ..., :width] = np.concatenate([by_head, by_board, by_size], axis=-1)
+            end = 0
+            for part in (
+                J.by_lens,
+                J.by_T_eye_cam,
+                J.by_T_rbase_lbase,
+                rows_times(J.by_T_base_eye, by_axes[detections.eye[c]][mine]),
+                by_pose_of_points(J.by_point, turned[mine]),
+                times(J.by_point, turned[mine])[..., None] / x["board_scale"],
+            ):
+                shared[mine, ..., end : end + part.shape[-1]] = part
+                end += part.shape[-1]
             latent[mine] = rows_times(J.by_T_base_eye, by_eye_latent[mine])
-            index[mine, :width] = target_columns(x, columns[c], detections.board[mine])
-        seen = self.seen[..., None, None]
-        shared, latent = np.where(seen, shared, 0.0), np.where(seen, latent, 0.0)
+            index[mine, :end] = target_columns(x, columns[c], detections.board[mine])
+        shared[~self.seen], latent[~self.seen] = 0.0, 0.0
         return Rows(shared.reshape(M, 2 * K, s), index, latent.reshape(M, 2 * K, -1))
 
 
@@ -239,7 +249,7 @@ class TargetPoses(Residual):
         T_base_eye, boards = d.eye_poses(x), x["boards"][d.board]
         expected = np.empty_like(boards)
         for c, mounted in enumerate(head.cameras.values()):
-            mine = d.camera == c
+            mine = d.of_camera(c)
             T = T_lbase_cam(mounted, head.T_rbase_lbase, T_base_eye[mine])
             expected[mine] = inverse(T) @ boards[mine]
         return expected
@@ -260,7 +270,7 @@ class TargetPoses(Residual):
         shared, latent = np.zeros((M, 6, s)), np.zeros((M, 6, by_eye_latent.shape[-1]))
         index = np.zeros((M, s), dtype=np.intp)
         for c, mounted in enumerate(head.cameras.values()):
-            mine = d.camera == c
+            mine = d.of_camera(c)
             by_camera, by_eye, between, by_board = target_pose_jacobians(
                 mounted, head.T_rbase_lbase, T[mine], boards[mine]
             )
@@ -435,4 +445,4 @@ class ParametersPrior(Residual):
 
     def rows(self, x: Variables) -> Rows:
         columns = x.columns("head")[named_columns(self.head, self.names)]
-        return Rows(self._whitening[None], columns[None])
+        return Rows(self._whitening[None].copy(), columns[None])

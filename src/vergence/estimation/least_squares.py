@@ -77,9 +77,9 @@ def least_squares(
     damping = np.full(len(now.costs), 1e-6)
     while True:
         linear = model.linearised(now)
-        free, accepted = linear.onto(basis), None
+        free, accepted = linear.at(now.levels).onto(basis), None
         while accepted is None:
-            reduced = eliminate(free, now.levels, damping)
+            reduced = eliminate(free, {}, damping)
             shared, latent = reduced.step()
             gain = (latent * reduced.right[1]).sum(axis=1)
             if not model.independent:

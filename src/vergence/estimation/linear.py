@@ -11,7 +11,7 @@ from scipy.sparse import csr_array
 
 from vergence.arrays import Array, scatter_add
 from vergence.errors import VergenceError
-from vergence.estimation.residual import LOST_WEIGHT, Levels, Residuals, coordinate_levels
+from vergence.estimation.residual import LOST_WEIGHT, UNIT, Levels, Residuals, coordinate_levels
 from vergence.estimation.variables import Variables
 
 
@@ -45,6 +45,15 @@ class Linear:
         """Return (Q,) the inverse variances of the levels."""
         return np.array([levels.get(name, 1.0) ** -2 for name in self.names])
 
+    def at(self, levels: Levels) -> Linear:
+        """Return the equations at given noise levels, as those of the unit level alone."""
+        p = self.precisions(levels)
+        sums = {
+            name: np.tensordot(p, getattr(self, name), 1)[None]
+            for name in ("gg", "gl", "ll", "g", "l", "squares")
+        }
+        return replace(self, names=(UNIT,), count=self.count.sum(keepdims=True), **sums)
+
     def onto(self, basis: Array) -> Linear:
         """Return the equations in the directions of a basis (G, F) of the shared unknowns."""
         if not self.gg.shape[1]:
@@ -72,8 +81,10 @@ def linearise(
         rows = residual.rows(x)
         kept = np.repeat(weight, residual.together, axis=1)
         root = np.sqrt(kept) / np.atleast_1d(residual.noise_scale)[:, None]
-        e, J = error * root, rows.by_shared * root[..., None]
-        L = None if rows.by_latent is None else rows.by_latent * root[..., None]
+        e, J, L = error * root, rows.by_shared, rows.by_latent
+        J *= root[..., None]  # in place: these arrays are large
+        if L is not None:
+            L *= root[..., None]
         own = np.array([names.index(name) for name in coordinate_levels(residual, k)])
         column = np.broadcast_to(rows.columns, (M, J.shape[2]))
         for q in np.unique(own):
@@ -136,9 +147,9 @@ def eliminate(linear: Linear, levels: Levels, damping: Array | float = 0.0) -> R
     G = len(gg)
     if G:
         gg[np.diag_indices(G)] *= 1 + damping[0]
-    flat = l.size, G  # all latent unknowns in a row
-    schur = gg - np.swapaxes(gl, 1, 2).reshape(flat).T @ coupling.reshape(flat)
-    vector = g - np.einsum("bnf,bn->f", coupling, l)
+    flat = coupling.reshape(l.size, G)  # all latent unknowns in a row
+    schur = gg - np.swapaxes(gl, 1, 2).reshape(l.size, G).T @ flat
+    vector = g - l.ravel() @ flat
     return Reduced(ll_inverse, coupling, (schur + schur.T) / 2, vector, (g, l))
 
 

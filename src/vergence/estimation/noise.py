@@ -225,7 +225,8 @@ def _hat_matrix(linear: Linear, reduced: Reduced, precisions: Array) -> tuple[Ar
     after the first are computed; the first level has the most data.
     """
     Q, D, coupling = len(linear.names), reduced.ll_inverse, reduced.coupling
-    S, F = cholesky(reduced.schur), coupling.shape[2]
+    F = coupling.shape[2]
+    covariance = cho_solve(cholesky(reduced.schur), np.eye(F))
     trace, norms = np.zeros(Q), np.zeros((Q, Q))
     own, across, inner = {}, {}, {}
     flat = coupling.reshape(-1, F)
@@ -235,15 +236,17 @@ def _hat_matrix(linear: Linear, reduced: Reduced, precisions: Array) -> tuple[Ar
         follows = ll @ coupling
         rows = np.swapaxes(gl, 1, 2)
         # U^T N U, and the latent rows of N U.
-        half = rows.reshape(-1, F).T @ flat
-        K = precisions[q] * linear.gg[q] - half - half.T + flat.T @ follows.reshape(-1, F)
-        own[q], across[q], inner[q] = D @ ll, rows - follows, cho_solve(S, K)
+        K = precisions[q] * linear.gg[q] + flat.T @ follows.reshape(-1, F)
+        if rows.any():
+            half = rows.reshape(-1, F).T @ flat
+            K -= half + half.T
+        own[q], across[q], inner[q] = D @ ll, rows - follows, covariance @ K
         trace[q] = np.trace(own[q], axis1=1, axis2=2).sum() + np.trace(inner[q])
     for q in own:
         left = D @ across[q]
         for h in range(q, Q):
             crossed = left.reshape(-1, F).T @ across[h].reshape(-1, F)
             norm = (own[q] * np.swapaxes(own[h], 1, 2)).sum()
-            norm += 2 * np.trace(cho_solve(S, crossed)) + (inner[q] * inner[h].T).sum()
+            norm += 2 * (covariance * crossed.T).sum() + (inner[q] * inner[h].T).sum()
             norms[q, h] = norms[h, q] = norm
     return trace, norms

@@ -56,7 +56,7 @@ class Residual:
         raise NotImplementedError
 
     def rows(self, x: Variables) -> Rows:
-        """Return the derivatives of the errors."""
+        """Return the derivatives of the errors, in new arrays, which the solver overwrites."""
         raise NotImplementedError
 
     def costs(self, errors: Array, levels: Levels, outlier: float) -> Array:

@@ -15,7 +15,6 @@ from vergence.arrays import Array
 from vergence.geometry.batches import (
     batch_first,
     batch_last,
-    joined,
     product,
     times,
     times_transposed,
@@ -166,16 +165,6 @@ def by_pose_of_points(by_point: Array, turned: Array) -> Array:
     found = batch_first(np.empty((2, 6, *by_point.shape[:-2])), 2)
     found[..., :3], found[..., 3:] = cross(turned[..., None, :], by_point), by_point
     return found
-
-
-def by_parameters(J: ProjectionJacobians, by_axes: Array) -> Array:
-    """Compute derivatives (M, K, 2, n + 12 + a) by what a camera's pixels depend on in a head.
-
-    In the order of `parameters.camera_columns`; by_axes (M, 6, a) are those of T_base_eye by the
-    errors of the eye's joints.
-    """
-    by_joints = rows_times(J.by_T_base_eye, by_axes)
-    return joined(J.by_lens, J.by_T_eye_cam, J.by_T_rbase_lbase, by_joints)
 
 
 def rows_times(rows: Array, matrix: Array) -> Array:

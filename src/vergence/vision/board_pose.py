@@ -96,8 +96,9 @@ class BoardViews(Residual):
             R = x["T_cam_reference"][:3, :3]
             by_shared, columns = by_pose_of_points(by_point, placed @ R.T), x.columns(_RELATIVE)
             by_point = by_point @ R
+        seen = self.seen[..., None, None]
         by_shared, by_pose = (
-            np.where(self.seen[..., None, None], J, 0.0).reshape(V, J.shape[1] * 2, J.shape[-1])
+            np.where(seen, J, 0.0).reshape(V, 2 * len(self.points), J.shape[-1])
             for J in (by_shared, by_pose_of_points(by_point, turned))
         )
         return Rows(by_shared, np.tile(columns, (V, 1)), by_pose)
