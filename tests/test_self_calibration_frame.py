@@ -8,7 +8,6 @@ import pytest
 from simulated_frames import JOINT_STD_RAD, NOISE_PX, begin, head_of, postures
 from simulated_matches import matches, room, turn_error_deg
 from vergence.arrays import Array
-from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
 from vergence.self_calibration.frame import estimate_from_matches
 from vergence.self_calibration.state import FilterState, FrameEstimate
@@ -56,33 +55,6 @@ def test_a_geometry_that_one_of_twenty_matches_fits_is_not_believed(seed: int):
     assert found.head is head
     np.testing.assert_array_equal(found.joints, readings)
     np.testing.assert_allclose(left_open(state, found), 1)
-
-
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        ({"right": np.zeros((5, 2))}, r"shapes \(\d+, 2\), \(5, 2\), \(\d+, 2, 2\)"),
-        ({"left": np.nan}, "are finite, and variances above 0"),
-        ({"covariance": 0.0}, "are finite, and variances above 0"),
-    ],
-)
-def test_what_are_no_matches_is_refused(change: dict, said: str):
-    head, _, readings, seen = seen_at_random(0)
-    whole = {
-        name: np.full_like(getattr(seen, name), value) if np.ndim(value) == 0 else value
-        for name, value in change.items()
-    }
-    with pytest.raises(VergenceError, match=said):
-        estimate_from_matches(begin(head), replace(seen, **whole), readings)
-
-
-@pytest.mark.parametrize(
-    ("joints", "said"), [([0.0, 0, 0], "found"), ([0.0, np.nan, 0, 0], "leave out frames")]
-)
-def test_readings_of_matches_are_those_of_the_head(joints: list[float], said: str):
-    head, _, _, seen = seen_at_random(0)
-    with pytest.raises(VergenceError, match=said):
-        estimate_from_matches(begin(head), seen, np.array(joints))
 
 
 def test_the_fewer_matches_there_are_the_nearer_are_readings_to_the_prior():

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vergence.arrays import Array
+from vergence.arrays import Array, single_blas_thread
 from vergence.data.dataset import Frame
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
@@ -65,6 +65,7 @@ def initial_visual_geometry(
     return VisualGeometry(initial_state(head, cameras=cameras, changed=changed))
 
 
+@single_blas_thread()
 def update_geometry(
     geometry: VisualGeometry, frame: Frame, joints: ArrayLike | None = None
 ) -> VisualGeometry:

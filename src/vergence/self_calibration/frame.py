@@ -66,7 +66,12 @@ def estimate_frame(
     for name, lens, image in zip(state.cameras, lenses, images, strict=True):
         check_image_fits(name, lens, image.shape, whose="the frame's")
     # A copy, since a driver may write its next readings into the same array.
-    joints = _finite_readings(state, joints).copy()
+    joints = checked_readings(state.head.kinematics, joints, one_posture=True).copy()
+    if not np.isfinite(joints).all():
+        raise VergenceError(
+            "Self-calibration corrects the readings of the moment of the images; found "
+            f"{joints.tolist()}: leave out frames without readings."
+        )
     left, right = (grey_levels(image) for image in images)
     matches = match_scene(
         left,
@@ -76,32 +81,6 @@ def estimate_frame(
         T_rcam_lcam=T_rcam_lcam(state.head, joints, cameras=state.cameras),
     )
     return estimate_from_matches(state, matches, joints, images=(left, right))
-
-
-def _finite_readings(state: FilterState, joints: ArrayLike) -> Array:
-    joints = checked_readings(state.head.kinematics, joints, one_posture=True)
-    if not np.isfinite(joints).all():
-        raise VergenceError(
-            "Self-calibration corrects the readings of the moment of the images; found "
-            f"{joints.tolist()}: leave out frames without readings."
-        )
-    return joints
-
-
-def _check_matches(matches: Matches) -> None:
-    parts = matches.left, matches.right, matches.covariance
-    shapes, N = [np.shape(each) for each in parts], len(matches.left)
-    if shapes != [(N, 2), (N, 2), (N, 2, 2)]:
-        raise VergenceError(
-            "Matches are N pixels (N, 2) in the left and in the right image, and covariances "
-            f"(N, 2, 2); found arrays of shapes {', '.join(map(str, shapes))}."
-        )
-    variances = np.diagonal(matches.covariance, axis1=1, axis2=2)
-    if not all(np.isfinite(each).all() for each in parts) or not (variances > 0).all():
-        raise VergenceError(
-            "Pixels of matches and their covariances are finite, and variances above 0; leave out "
-            "points that one of the images does not show."
-        )
 
 
 def estimate_from_matches(
@@ -121,14 +100,8 @@ def estimate_from_matches(
         matches: of the pair.
         joints: (r,) readings [rad].
         images: grey images of the matches; None: features are not tracked to or from this frame.
-        at_head: whether residuals are linearised at the state's head and not at the frame's own.
-
-    Raises:
-        VergenceError: the matches are not N finite pixels in each image with their covariances, or
-            the readings are not those of the head, not finite or not in radians.
+        at_head: linearise residuals at the state's head instead of the frame's own.
     """
-    joints = _finite_readings(state, joints)
-    _check_matches(matches)
     prior = FrameEstimate(
         head=state.head,
         cameras=state.cameras,

@@ -165,9 +165,10 @@ def log_likelihood(state: FilterState, evidence: Evidence) -> float:
     like a change.
     """
     C = frame_covariance(state)
-    change, _ = posterior(evidence.information, evidence.vector, C)
-    _, log_det = np.linalg.slogdet(np.eye(len(C)) + evidence.information @ C)
-    return float(evidence.vector @ change - log_det - evidence.misfit) / 2
+    ratio = np.eye(len(C)) + evidence.information @ C
+    _, log_det = np.linalg.slogdet(ratio)
+    gain = float(evidence.vector @ C @ np.linalg.solve(ratio, evidence.vector))
+    return (gain - float(log_det) - evidence.misfit) / 2
 
 
 def evidence_about(state: FilterState, evidence: Evidence, head: HeadCalibration) -> Evidence:

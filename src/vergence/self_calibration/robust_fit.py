@@ -15,7 +15,6 @@ from functools import lru_cache
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.estimation.linear import posterior
 from vergence.self_calibration.match_noise import (
     CUT,
     design_effect,
@@ -85,24 +84,24 @@ def robust_fit(
     found = linearise(start, few if linear_range is None else everyone)
     y, A, M = found.residuals, found.by_coordinates, found.by_unknowns
     first = slice(None) if linear_range is None else few
-    C_free, M_free = C[fixed:, fixed:], M[:, fixed:]
-    S = M_free @ C_free @ M_free.T
-    N, b = _reweighted(y[first], A[first], S, _best_hypothesis(y[first], A[first], S))
-    start[fixed:] = posterior(M_free.T @ N @ M_free, M_free.T @ b, C_free)[0]
+    by_free = M[:, fixed:] @ C[fixed:, fixed:]
+    S = by_free @ M[:, fixed:].T
+    hypothesis = _best_hypothesis(y[first], A[first], S)
+    start[fixed:] = _reweighted(y[first], A[first], S, hypothesis) @ by_free
     if linear_range is None or (np.abs(start) > linear_range).any():
         found = linearise(start, everyone)
         y, A, M = found.residuals, found.by_coordinates, found.by_unknowns
         y = y + A @ (M @ start)  # of the linear model about no change
     S = M @ C @ M.T
-    N, b = _reweighted(y, A, S, M @ start)
-    e = y - A @ posterior(N, b, S)[0]
+    e = y - A @ (S @ _reweighted(y, A, S, M @ start))
     weights, variance = tukey_weights(e), noise_variance(e)
     inflation, blocks = design_effect(e / np.sqrt(variance), pixels, size, prior_design_effect)
     # The unknowns absorb most of a systematic error, so residuals do not show it.
     noise, field = variance * inflation, systematic_inflation(weights, found.systematic)
     weighted = A * (weights / (noise + field))[:, None]
     N, b = weighted.T @ A, weighted.T @ y
-    w = posterior(N, b, S)[0]
+    dual = _dual(N, b, S)
+    w = S @ dual
     misfit = float(tukey_loss(y - A @ w).sum()) / prior_design_effect
     evidence = Evidence(
         information=M.T @ N @ M,
@@ -114,7 +113,7 @@ def robust_fit(
         systematic=field / (noise + field),
         misfit=misfit + float(2 * b @ w - w @ N @ w),
     )
-    return posterior(evidence.information, evidence.vector, C)[0], weights, evidence
+    return C @ (M.T @ dual), weights, evidence
 
 
 def _best_hypothesis(y: Array, A: Array, S: Array) -> Array:
@@ -139,14 +138,20 @@ def _triples(residuals: int) -> np.ndarray:
     return np.random.default_rng(0).integers(0, residuals, (_HYPOTHESES, 3))
 
 
-def _reweighted(y: Array, A: Array, S: Array, w: Array) -> tuple[Array, Array]:
-    """Return the normal equations (k, k) and (k,) of iteratively reweighted least squares.
-
-    It starts at a change w (k,) of the coordinates, whose prior covariance is S (k, k).
-    """
-    N, b = np.zeros_like(S), np.zeros_like(w)
+def _reweighted(y: Array, A: Array, S: Array, w: Array) -> Array:
+    """Return the `_dual` (k,) of iteratively reweighted least squares, from a change w (k,)."""
+    dual = np.zeros_like(w)
     for _ in range(_ITERATIONS):
         weighted = A * tukey_weights(y - A @ w)[:, None]
-        N, b = weighted.T @ A, weighted.T @ y
-        w = posterior(N, b, S)[0]
-    return N, b
+        dual = _dual(weighted.T @ A, weighted.T @ y, S)
+        w = S @ dual
+    return dual
+
+
+def _dual(N: Array, b: Array, S: Array) -> Array:
+    """Solve normal equations with a prior covariance S (k, k) of the coordinates, maybe singular.
+
+    The coordinates change by S times the dual (k,), and the K unknowns by their prior covariance
+    with the coordinates times it, which costs less than `linear.posterior` of the unknowns.
+    """
+    return np.asarray(np.linalg.solve(np.eye(len(S)) + N @ S, b), float)

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from vergence.arrays import Array
 from vergence.geometry.head import HeadCalibration
@@ -178,5 +177,7 @@ class TrackedFeatures:
 
 def frame_covariance(state: FilterState) -> Array:
     """Return the prior covariance (P + r, P + r) of head and readings in a frame."""
-    C = block_diag(state.covariance, np.diag(state.reading_std_rad**2))
-    return np.asarray(C, float)
+    P, stds = len(state.names), state.reading_std_rad
+    C = np.zeros(2 * (P + len(stds),))
+    C[:P, :P], C[P:, P:] = state.covariance, np.diag(stds**2)
+    return C
