@@ -351,7 +351,7 @@ def test_readings_without_stated_noise_are_given_the_usual_noise():
 
 
 def test_readings_keep_the_ratio_of_noise_with_which_they_were_calibrated():
-    stated = np.radians([0.04, 0.1])
+    stated = np.radians([0.06, 0.1])
     head = replace(head_of(0), accuracy=Accuracy("bundle", joint_std=tuple(stated)))
     state, rng = initial_state(head), np.random.default_rng(0)
     np.testing.assert_allclose(state.reading_std_rad, np.tile(stated, 2), rtol=1e-9)

@@ -32,10 +32,6 @@ UPDATE_S = 0.1
 MOVED_RAD = float(np.radians(1.0))
 """Least change of a joint angle between updates, about half a window's width; with 2 degrees
 learned depth in Fig. 6 spreads by up to 1.4 times as much."""
-_NECK_DEVIATIONS = 3.0
-"""Change of a neck reading, in deviations of the eyes' readings, after which features are not
-tracked: the eyes have not moved alone."""
-_SLACK_S = 1e-6  # rounding of time stamps
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +88,7 @@ def update_geometry(
             )
     left, right = (frame.images[name] for name in cameras)
     neck, key = checked_neck_angles(frame.neck_angles), geometry.keyframe_neck
-    limit = _NECK_DEVIATIONS * geometry.state.joint_std_rad
+    limit = 3 * geometry.state.joint_std_rad  # then not only the eyes have moved
     if key is None or np.abs(neck - key).max() > limit:
         geometry = replace(geometry, state=replace(geometry.state, keyframe=None))
     geometry = predict_geometry(geometry, frame.time_s)
@@ -127,7 +123,7 @@ def update_with_estimate(
         return VisualGeometry(state, estimate, time_s, time_s, readings, neck)
     elapsed_s = time_s - geometry.updated_s
     moved = np.abs(state.head.kinematics.factors * (readings - geometry.updated_at)).max()
-    at_rest, close = moved < MOVED_RAD, 0 < elapsed_s < UPDATE_S - _SLACK_S
+    at_rest, close = moved < MOVED_RAD, 0 < round(elapsed_s, 6) < UPDATE_S
     if at_rest or close or estimate.evidence is None:
         return replace(geometry, state=state, latest=estimate)
     updated = update(state, estimate)

@@ -21,7 +21,6 @@ from vergence.self_calibration.kalman import (
 )
 from vergence.self_calibration.match_noise import filled_share
 from vergence.self_calibration.prior import BUMP, UNCALIBRATED, Tolerance, tolerance_covariance
-from vergence.self_calibration.robust_fit import MAJORITY
 from vergence.self_calibration.state import (
     FilterState,
     FrameEstimate,
@@ -43,11 +42,9 @@ _EXAMINED = -6.0
 where each of three frames gains half of that, they show it together."""
 _DETECTED = np.log(1e5)
 """Log likelihood ratio of the window from which a change is detected; the prior odds are low."""
-_LEAST_INLIERS = 50.0
-"""Inliers of a frame that supports a change; rendered rooms have 370 and more."""
 _LEAST_FILLED = 0.25
-"""Share of the left image that they fill: a board alone fills a fifth, and errors that its corners
-share look like a change."""
+"""Share of the left image that matches fill where they support a change: a board alone fills a
+fifth, and errors that its corners share look like a change."""
 
 
 def release(state: FilterState, tolerance: Tolerance) -> FilterState:
@@ -122,8 +119,8 @@ def _supports_change(state: FilterState, estimate: FrameEstimate) -> bool:
     evidence = estimate.evidence
     assert evidence is not None
     size = state.head.camera(state.cameras[0]).intrinsics.size
-    enough = evidence.inliers >= max(_LEAST_INLIERS, MAJORITY * len(estimate.weights))
-    return enough and filled_share(evidence.blocks, size) >= _LEAST_FILLED
+    agree = 2 * evidence.inliers >= len(estimate.weights)
+    return agree and filled_share(evidence.blocks, size) >= _LEAST_FILLED
 
 
 def relinearise(records: tuple[FrameRecord, ...], after: FilterState) -> FilterState:

@@ -27,7 +27,6 @@ from vergence.self_calibration.kalman import contradicts_prior, kalman_update
 from vergence.self_calibration.keyframe import track_keyframe, worth_tracking
 from vergence.self_calibration.prior import remaining_covariance
 from vergence.self_calibration.state import (
-    PRIOR_READINGS,
     FilterState,
     FrameEstimate,
     FrameRecord,
@@ -82,7 +81,7 @@ def _restart(state: FilterState) -> FilterState:
     return replace(
         release(state, CHANGES["head uncalibrated"]),
         revisits=None,
-        joint_weight=PRIOR_READINGS,
+        joint_weight=FilterState.joint_weight,
         records=(),
         keyframe=None,
         change="head uncalibrated",

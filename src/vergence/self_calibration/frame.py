@@ -27,7 +27,6 @@ from vergence.self_calibration.robust_fit import (
     FEWEST,
     GATE,
     LINEAR_RAD,
-    MAJORITY,
     LinearisedResiduals,
     robust_fit,
 )
@@ -127,12 +126,12 @@ def _update_with_matches(
     if FEWEST > N:
         return prior
     change, weights, evidence = _fit(state, prior, C, at_head=at_head)
-    if evidence.inliers < MAJORITY * N:
+    if 2 * evidence.inliers < N:
         # Either most matches are wrong, or the head is far from its mean.
         wide = C.copy()
         wide[:P, :P] += tolerance_covariance(state.head, state.names, UNCALIBRATED)
         _, wide_weights, wide_evidence = _fit(state, prior, wide)
-        if wide_evidence.inliers > max(FEWEST, MAJORITY * N):
+        if wide_evidence.inliers > max(FEWEST, N / 2):
             return replace(
                 prior, status="contradiction", weights=wide_weights, evidence=wide_evidence
             )

@@ -34,12 +34,8 @@ from vergence.self_calibration.state import (
     frame_covariance,
 )
 
-_MOST_READINGS = 4000.0
-"""Number of readings beyond which the estimate of their noise forgets; an assumption."""
 _LEAST_LEARNED = 0.02
 """Least relative decrease of a variance that counts as learned; less is about the process noise."""
-_FIXED = 1e-12
-"""Variance of a combination of parameters, relative to theirs, below which it is fixed."""
 
 
 def predict(state: FilterState, elapsed_s: float) -> FilterState:
@@ -134,7 +130,7 @@ def _reading_variance(state: FilterState, N: Array, b: Array) -> tuple[float, fl
     weights = (expected / (expected + noise)) ** 2
     weight = state.joint_weight + float(weights.sum())
     variance = (state.joint_weight * expected + float(weights @ samples)) / weight
-    return max(variance, 1e-2 * expected), min(weight, _MOST_READINGS)
+    return max(variance, 1e-2 * expected), weight
 
 
 def contradicts_prior(state: FilterState) -> bool:
@@ -147,7 +143,7 @@ def contradicts_prior(state: FilterState) -> bool:
     change = change_between(state.head, before.head, state.names)
     std = np.sqrt(np.diag(before.covariance))
     size, axes = np.linalg.eigh(before.covariance / std / std[:, None])
-    whiten = axes.T / std / np.sqrt(np.maximum(size, _FIXED))[:, None]
+    whiten = axes.T / std / np.sqrt(np.maximum(size, 1e-12))[:, None]
     after = whiten @ state.covariance @ whiten.T
     values, directions = np.linalg.eigh((after + after.T) / 2)
     learned = values < 1 - _LEAST_LEARNED

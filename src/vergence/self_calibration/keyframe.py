@@ -20,7 +20,7 @@ from vergence.estimation.linear import posterior
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_between, change_named
 from vergence.geometry.se3 import inverse
-from vergence.self_calibration.match_noise import PRIOR_DESIGN_EFFECT, revisit_inflation
+from vergence.self_calibration.match_noise import revisit_inflation
 from vergence.self_calibration.residuals import (
     depths_of_matches,
     motion_coordinates,
@@ -30,8 +30,6 @@ from vergence.self_calibration.robust_fit import (
     FEWEST,
     GATE,
     INLIER,
-    LINEAR_RAD,
-    MAJORITY,
     LinearisedResiduals,
     robust_fit,
 )
@@ -56,11 +54,6 @@ _FEATURES = 150
 """Features of a keyframe; with twice as many learned depth is no steadier."""
 _DEPTH_STD = 0.05
 """Relative error of each depth; an assumption, since a camera moves by millimetres only."""
-_COMMON_DEPTH_STD = 1.0
-"""Relative error that all depths share: as good as unknown, since the parallax would otherwise
-determine the scale of the depths from hundredths of a pixel."""
-_LINEAR_DEPTH = 0.1
-"""Change of the common depth within which residuals are linear: to 0.005 px a pixel of parallax."""
 _MOTION_INFLATION = 2.5
 """Covariance inflation of tracked features for errors that all motions share, such as those of the
 lens model; with it they leave the squared Mahalanobis distance of rendered figures unchanged."""
@@ -209,7 +202,7 @@ def add_tracked(
         _, after = posterior(evidence.information, evidence.vector, C)
         observed = float(np.trace(after @ evidence.information))
         expected = float(change @ np.linalg.solve(C, change)) < chdtri(max(observed, 1.0), GATE)
-        if expected and evidence.inliers > MAJORITY * len(weights):
+        if expected and 2 * evidence.inliers > len(weights):
             added = evidence.information / inflation
             information = information + added
             vector = vector + evidence.vector / inflation + added @ start
@@ -229,9 +222,7 @@ def _fit(
     the mean where residuals are linearised.
     """
     mean, C, fixed = prior
-    K, P = len(C), len(state.names)
-    joints = LINEAR_RAD / np.abs(np.tile(state.head.kinematics.factors, 2))
-    limits = np.concatenate([np.full(P, np.inf), joints, [_LINEAR_DEPTH]])
+    K = len(C)
 
     def linearise(z: Array, rows: np.ndarray) -> LinearisedResiduals:
         found = _whiten(state, estimate, tracked, k, mean + z[:K], float(z[K]))
@@ -243,11 +234,11 @@ def _fit(
         np.asarray(block_diag(C, 1.0), float),
         pixels=np.tile(tracked.matches[k].left, (2, 1)),
         size=state.head.camera(state.cameras[k]).intrinsics.size,
-        prior_design_effect=PRIOR_DESIGN_EFFECT,
+        prior_design_effect=state.design_effect,
         fixed=fixed,
-        linear_range=limits if state.settled else None,
     )
-    # The common depth, with a standard deviation of one, is marginalised.
+    # The relative error of all depths together is as good as unknown: its deviation is one. Else
+    # parallax would determine the scale of the depths from hundredths of a pixel.
     N, b = evidence.information / _MOTION_INFLATION, evidence.vector / _MOTION_INFLATION
     gain = N[:K, K] / (N[K, K] + 1)
     N, b = N[:K, :K] - np.outer(gain, N[K, :K]), b[:K] - gain * b[K]
@@ -264,7 +255,7 @@ def _whiten(
 ) -> LinearisedResiduals:
     """Compute residuals (2 N,) in standard deviations, all u before all v, by K + 1 unknowns.
 
-    The last unknown is the change of all depths in standard deviations.
+    The last unknown is the relative change of all depths.
     """
     assert state.keyframe is not None
     P, r = len(state.names), len(estimate.readings)
@@ -277,11 +268,9 @@ def _whiten(
         coordinates.T_second_first,
         earlier=matches.left,
         later=matches.right,
-        depths_m=tracked.depths_m[k] * np.exp(_COMMON_DEPTH_STD * depth_change),
+        depths_m=tracked.depths_m[k] * np.exp(depth_change),
     )
-    A = np.concatenate(
-        [found.by_coordinates, _COMMON_DEPTH_STD * found.by_depth[..., None]], axis=2
-    )
+    A = np.concatenate([found.by_coordinates, found.by_depth[..., None]], axis=2)
     every = np.concatenate([A, found.residuals[..., None]], axis=2)
     good = np.asarray(np.isfinite(every).all(axis=(1, 2)))
     by_depth = _DEPTH_STD * found.by_depth

@@ -17,17 +17,10 @@ from vergence.arrays import Array
 
 CUT = 4.685
 """Tuning constant of Tukey's biweight [standard deviations], 95 % efficient for normal errors."""
-PRIOR_MATCH_SCALE = 1.3
-"""Prior noise of matches over what their windows state: that of windows with relief, the worst kind
-of surface in rendered images."""
 _SCALE_MATCHES = 30.0
 """Weight of the prior scale, as a number of matches; an assumption."""
-PRIOR_DESIGN_EFFECT = 2.0
-"""Prior variance inflation; 1.1 to 1.8 in a furnished room, more with fewer and longer edges."""
 _DESIGN_BLOCKS = 10.0
 """Weight of the prior design effect, as a number of blocks: a third of those that a pair fills."""
-_LEAST_DESIGN_EFFECT = 0.5
-"""Values below one are chance, since errors of neighbours do not cancel."""
 _BLOCK_PX = 64
 """Distance from which errors are independent; rendered correlations are below 0.03 there."""
 _BLOCKS = 16
@@ -44,14 +37,10 @@ _FIELD_PARTS = 15.0
 """Independent parts of a lens's systematic error field: polynomials up to the fourth degree."""
 _FAR_CORRELATION = 0.005
 """Correlation at distant postures; measured between 20 and 60 degrees, to a factor of two."""
-_PRIOR_CORRELATION, _MOST_CORRELATION = 0.4, 0.95
-"""Correlation at the same posture before it is measured, and its upper limit."""
 PACE = 0.1
 """Weight of a frame in running means of noise parameters; an assumption."""
 _NEAREST, _REMEMBERED = 60, 2000
 """Numbers of past postures that are compared with a new one, and that are kept; limits of cost."""
-_LEAST_NOVELTY = 1e-3
-"""Lower limit of the share of a frame that is new."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,8 +53,8 @@ class RevisitCorrelation:
     """(n,)"""
     blocks: np.ndarray
     """(n, B) float32 sums of their residuals in blocks, as unit vectors."""
-    correlation: float = _PRIOR_CORRELATION
-    """Of the errors of two frames at the same posture."""
+    correlation: float = 0.4
+    """Of the errors of two frames at the same posture; at first that of rendered images."""
     independent: float = 0.0
     """Equivalent number of independent frames, apart from the far correlation."""
     far_correlation: float = _FAR_CORRELATION
@@ -115,7 +104,7 @@ def design_effect(
         return expected, sums
     measured = float(sums @ sums) * total / slope**2 * used / (used - _UNKNOWNS)
     mean = (used * measured + _DESIGN_BLOCKS * expected) / (used + _DESIGN_BLOCKS)
-    return max(mean, _LEAST_DESIGN_EFFECT), sums
+    return mean, sums
 
 
 def filled_share(blocks: np.ndarray, size: tuple[int, int]) -> float:
@@ -167,7 +156,7 @@ def frame_novelty(revisits: RevisitCorrelation | None, posture: Array) -> float:
     K[np.diag_indices(len(K))] = 1.0
     k = revisits.correlation * _kernel(_distance(postures, posture), ages_s)
     weights = np.linalg.solve(K, k)
-    return float(max(1 - weights.sum(), _LEAST_NOVELTY) ** 2 / (1 - weights @ k))
+    return float(max(1 - weights.sum(), 1e-3) ** 2 / (1 - weights @ k))
 
 
 def revisit_inflation(revisits: RevisitCorrelation | None, novelty: float) -> float:
@@ -213,7 +202,7 @@ def update_revisits(
         postures=np.concatenate([revisits.postures, posture[None]])[-_REMEMBERED:],
         ages_s=np.append(revisits.ages_s, 0.0)[-_REMEMBERED:],
         blocks=np.concatenate([revisits.blocks, unit])[-_REMEMBERED:],
-        correlation=min(max(c, 0.0), _MOST_CORRELATION),
+        correlation=min(max(c, 0.0), 0.95),
         independent=revisits.independent + novelty,
         far_correlation=revisits.far_correlation + PACE * (far - revisits.far_correlation),
     )

@@ -145,8 +145,6 @@ _EPIPOLAR_DEGREES = 4
 """Degrees of freedom of these distances: pitch, roll, vergence and the ratio of focal lengths."""
 _BOARD_DISTANCES = 5.0, 20.0
 """Typical distances of boards, in baselines."""
-_LEAST_FACTOR = 0.1
-"""Gear factor to which the tolerance of a smaller one refers, since zero may be wrong too."""
 _COEFFICIENT_STD = 0.01
 """Largest standard deviation of a combination of distortion coefficients; some combinations of a
 rational lens displace nothing, and would leave the linear range."""
@@ -154,8 +152,6 @@ JOINT_STD_RAD = np.radians(0.2)
 """Noise of readings for which the calibration states none, until it is estimated."""
 LEAST_JOINT_STD_RAD = np.radians(0.05)
 """Least initial noise of readings: one that is 1 ms late errs as much at 50 degrees a second."""
-_LEAST_NOISE_RATIO = 0.1
-"""Least noise of one reading relative to the rms of all; no reading is exact."""
 
 
 def initial_state(
@@ -197,6 +193,7 @@ def initial_state(
     stds = reading_stds(head) * factors
     if not stds.any():
         stds = np.full(len(factors), JOINT_STD_RAD)
+    stds = np.maximum(stds, LEAST_JOINT_STD_RAD)
     rms = float(np.sqrt(np.mean(stds**2)))
     C = prior_covariance(head, names, pair, moved=changed != "nothing")
     systematic = accuracy.systematic_px if accuracy else {}
@@ -206,8 +203,8 @@ def initial_state(
         names=names,
         covariance=C,
         prior=PriorSnapshot(head, C),
-        joint_std_rad=max(rms, float(LEAST_JOINT_STD_RAD)),
-        noise_ratios=np.maximum(stds / rms, _LEAST_NOISE_RATIO) / factors,
+        joint_std_rad=rms,
+        noise_ratios=stds / rms / factors,
         systematic_px=(systematic.get(pair[0], 0.0), systematic.get(pair[1], 0.0)),
     )
 
@@ -296,7 +293,7 @@ def tolerance_covariance(
     if factors:
         values = parameter_values(head)
         for name in factors:
-            C[rows[name], rows[name]] *= max(abs(values[name] or 0.0), _LEAST_FACTOR) ** 2
+            C[rows[name], rows[name]] *= (values[name] or 1.0) ** 2
     return C
 
 

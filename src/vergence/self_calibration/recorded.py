@@ -32,12 +32,8 @@ convention."""
 _UNEXPECTED = 4.0
 """Change of a parameter, in prior standard deviations, that is reported; one of 50 reaches it by
 chance in one of 300 recordings."""
-_LITTLE_SEEN = 0.3
-"""Share of frames that showed little from which it is reported."""
 _POINT_M = np.array([1.0, 0.0, 0.0])
 """Point for which the accuracy of depth is stated, straight ahead of the left eye."""
-_LISTED = 6
-"""Most names in a sentence."""
 
 
 @dataclass(frozen=True)
@@ -94,8 +90,8 @@ class SelfCalibrationResult:
         if len(hidden) == len(self.parameters):
             lines.append("Nothing that persists is known better than before.")
         elif hidden:
-            more = f" and {len(hidden) - _LISTED} more" if len(hidden) > _LISTED else ""
-            lines.append(f"Not observed, as before: {', '.join(hidden[:_LISTED])}{more}.")
+            more = f" and {len(hidden) - 6} more" if len(hidden) > 6 else ""
+            lines.append(f"Not observed, as before: {', '.join(hidden[:6])}{more}.")
         if self.depth_std_m is not None:
             before, after = (1e3 * std for std in self.depth_std_m)
             source = {
@@ -249,10 +245,4 @@ def _frame_findings(head: HeadCalibration, frames: int, seen: int) -> list[Findi
             "readings are not of the same moments. In all of them the prior stands."
         )
         findings.append(warning("no-frame-agrees", sentence))
-    elif seen < (1 - _LITTLE_SEEN) * frames:
-        sentence = (
-            f"Only {seen} of {counted(frames, 'frame')} determined the relative pose of the "
-            "cameras; in the others it comes from the prior, in part or wholly."
-        )
-        findings.append(warning("few-frames-agree", sentence))
     return findings

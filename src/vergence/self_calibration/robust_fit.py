@@ -35,8 +35,6 @@ INLIER = 0.3
 """Least weight of an inlier."""
 FEWEST = 12.0
 """Least number of inliers; fewer fit by chance."""
-MAJORITY = 0.5
-"""Share of inliers above which most matches agree."""
 GATE = 1e-7
 """Tail probability of the innovation gate."""
 LINEAR_RAD = 0.005

@@ -14,15 +14,9 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.geometry.head import HeadCalibration
-from vergence.self_calibration.match_noise import (
-    PRIOR_DESIGN_EFFECT,
-    PRIOR_MATCH_SCALE,
-    RevisitCorrelation,
-)
+from vergence.self_calibration.match_noise import RevisitCorrelation
 from vergence.vision.matching.scene_features import Matches
 
-PRIOR_READINGS = 5.0
-"""Weight of the prior noise of the readings, as a number of observed readings; an assumption."""
 FrameStatus = Literal["seen", "little seen", "contradiction"]
 HeadChange = Literal["camera turned", "head uncalibrated"]
 """A camera was turned, or the head is outside the covariance of its calibration."""
@@ -56,14 +50,16 @@ class FilterState:
     """(r,) standard deviation of each reading over `joint_std_rad`, as calibrated; constant."""
     systematic_px: tuple[float, float] = (0.0, 0.0)
     """Systematic error of each lens, rms of one coordinate, from `Accuracy.systematic_px`."""
-    match_scale: float = PRIOR_MATCH_SCALE
-    """Noise of the matches over the noise that their windows state."""
-    design_effect: float = PRIOR_DESIGN_EFFECT
-    """Variance inflation by errors that neighbouring matches share."""
+    match_scale: float = 1.3
+    """Noise of the matches over what their windows state; at first that of windows with relief, the
+    worst kind of surface in rendered images."""
+    design_effect: float = 2.0
+    """Variance inflation by errors that neighbouring matches share; 1.1 to 1.8 in a furnished room,
+    more with fewer and longer edges."""
     revisits: RevisitCorrelation | None = None
     """Correlation of match errors with those of earlier frames; None before the first update."""
-    joint_weight: float = PRIOR_READINGS
-    """Number of readings from which `joint_std_rad` was estimated, the prior included."""
+    joint_weight: float = 5.0
+    """Number of readings from which `joint_std_rad` was estimated; the prior counts for five."""
     frames: int = 0
     """Number of updates."""
     time_s: float = 0.0
