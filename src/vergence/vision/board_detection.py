@@ -27,19 +27,6 @@ from vergence.vision.marker_layout import contradicts, marker_pairs
 CLEARANCE_FRACTION = 0.4
 """Length of a corner's strips over the distance to the nearest other edge. Above 0.5, neighbours
 share pixels: at 0.6 their errors correlate by 0.35 along a row."""
-MIN_CLEARANCE_PX = 4
-"""Smallest distance of a corner to another edge [px]; nearer corners are biased by 0.05 px."""
-BLUR_PX = 2.4
-"""Distance from an edge that its blur affects [px]: 2.5 standard deviations of a sharp camera's
-blur and that of the refinement."""
-MIN_HALF_WIDTH_PX = 0.8
-"""Smallest half width of the strips of a ChArUco corner [px], with markers close to it."""
-MIN_CONTRAST = 30
-"""Least contrast of a chessboard [grey levels]: OpenCV's method by sectors needs it too."""
-MAX_UPSAMPLED_PX = 1_500_000
-"""Number of pixels from which images are not upsampled; limits the time."""
-_LEAST_MARKERS = 6
-"""Number of markers from which a homography identifies misread ones; it needs four."""
 
 
 def detect_board(image: np.ndarray, board: Board) -> Array | None:
@@ -65,7 +52,7 @@ def upsampled(grey: np.ndarray) -> tuple[np.ndarray, int]:
 
     Markers of 15 px, as in a wide image at arm's length, are read twice as often.
     """
-    scale = 2 if grey.size < MAX_UPSAMPLED_PX else 1
+    scale = 2 if grey.size < 1_500_000 else 1  # larger images take too long
     return cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC), scale
 
 
@@ -74,7 +61,7 @@ def _detect_chessboard(grey: np.ndarray, board: Chessboard) -> Array | None:
     # OpenCV's oldest method takes a twentieth of the time of the one by sectors, but misses every
     # tenth board and errs by more than a pixel at some corners of inclined ones.
     found, corners = cv2.findChessboardCorners(grey, size, flags=0)
-    if found and contrast(grey, corners) > MIN_CONTRAST:
+    if found and contrast(grey, corners) > 30:  # grey levels, which the other method needs too
         refined = _refine_chessboard(grey, corners, board)
         if refined is not None and np.isfinite(refined).all():
             return refined
@@ -91,7 +78,8 @@ def _refine_chessboard(grey: np.ndarray, detected: np.ndarray, board: Chessboard
     quarters = (0, 1, 2, 3) if board.rows == board.columns else (0, 2)
     rough = _numbered(grey, [np.rot90(grid, quarter) for quarter in quarters])
     distances = edge_distances(rough)
-    clear = np.where(distances[..., None] < MIN_CLEARANCE_PX, np.nan, rough)
+    # Corners within 4 px of another edge would be biased by 0.05 px.
+    clear = np.where(distances[..., None] < 4, np.nan, rough)
     grid = refine_corners(grey, clear, CLEARANCE_FRACTION * distances)
     border = grid[0], grid[-1], grid[:, 0], grid[:, -1]
     if any(np.isnan(line).all() for line in border):
@@ -140,10 +128,11 @@ def _detect_charuco(grey: np.ndarray, board: Charuco) -> Array | None:
     # Without neighbours the length of a corner's strips is unknown.
     isolated = ~np.any([np.isfinite(a + b).all(axis=-1) for a, b in adjacent_sides(grid)], axis=0)
     grid[isolated] = np.nan
-    # The strips stay in the white between an edge and the markers, away from the blur of both.
+    # The strips stay in the white between an edge and the markers, away from the blur of both:
+    # 2.4 px are 2.5 standard deviations of a sharp camera's blur and that of the refinement.
     margin = (1 - board.marker_m / board.square_m) / 2
     distances = edge_distances(grid)
-    half_widths = np.clip(margin * distances - BLUR_PX, MIN_HALF_WIDTH_PX, HALF_WIDTH_PX)
+    half_widths = np.clip(margin * distances - 2.4, 0.8, HALF_WIDTH_PX)
     corners = refine_corners(grey, grid, CLEARANCE_FRACTION * distances, half_widths).reshape(-1, 2)
     return corners if np.isfinite(corners).any() else None
 
@@ -158,7 +147,7 @@ def _markers_of_one_plane(
     drawn = opencv_board(board)
     numbers = np.asarray(drawn.getIds(), int).ravel()
     known = np.flatnonzero(np.isin(ids, numbers))
-    if len(known) < _LEAST_MARKERS:
+    if len(known) < 6:  # a homography through four determines no outlier
         return [], ids[:0]
     centres = np.array([np.mean(quad, axis=0)[:2] for quad in drawn.getObjPoints()])
     on_board = centres[np.argmax(ids[known, None] == numbers, axis=1)]

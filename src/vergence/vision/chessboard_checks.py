@@ -13,8 +13,6 @@ from scipy.ndimage import map_coordinates
 
 from vergence.arrays import Array
 
-_ALTERNATING = 0.9
-"""Least share of neighbouring squares that alternate; a reflection may cover the others."""
 _PLACES = 0.2, 0.35, 0.5, 0.65, 0.8
 """Where squares are sampled, over their sides; some places lie on the frames of markers."""
 _NARROW = 0.5
@@ -57,7 +55,8 @@ def is_chequered(grey: np.ndarray, grid: Array) -> bool:
     clear = _CLEAR * contrast(grey, grid)
     if not ((medians > clear).all() or (medians < -clear).all()):
         return False
-    return bool((steps * np.sign(medians[0]) > 0).mean() > _ALTERNATING)
+    # A reflection may cover a tenth.
+    return bool((steps * np.sign(medians[0]) > 0).mean() > 0.9)
 
 
 def goes_on(grey: np.ndarray, grid: Array) -> bool:

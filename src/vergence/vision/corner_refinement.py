@@ -22,19 +22,8 @@ HALF_WIDTH_PX = 2.0
 5, and about as 1, which is more sensitive to noise."""
 _ALONG, _ASIDE = np.linspace(-1, 1, 15), np.linspace(-1, 1, 5)
 """Samples along and across a strip, over its length and its half width."""
-ITERATIONS = 5
-"""Newton steps to a saddle point; corners start within a pixel."""
 MAX_SHIFT_PX = 1.5
 """Largest distance of a saddle point from the initial corner, and largest step [px]."""
-CONVERGED_PX = 0.05
-"""Largest last step at a clear saddle point [px]."""
-MAX_ASYMMETRY = 0.1
-"""Mean difference between the grey levels and their half-turned copy over the contrast, above which
-a corner is partly occluded if it also exceeds its neighbours' fourfold."""
-_STEP = 0.25
-"""Step of the finite differences of the board's map [squares]."""
-_SPLINE_SUPPORT_PX = 12
-"""Distance over which a border affects the spline and the blur [px]."""
 
 
 def refine_corners(
@@ -93,7 +82,7 @@ def curvatures(grid: Array) -> Array:
     finite differences of a smooth map of the whole board, which extends to its border and to
     unknown corners (NaN); zero with too few corners.
     """
-    offsets = np.stack(np.meshgrid((-1, 0, 1), (-1, 0, 1)), axis=-1) * _STEP
+    offsets = np.stack(np.meshgrid((-1, 0, 1), (-1, 0, 1)), axis=-1) / 4  # squares
     j, i = np.indices(grid.shape[:2])
     places = np.stack([i, j], axis=-1)[:, :, None, None] + offsets
     mapped = _smooth_map(grid, places.reshape(-1, 2)).reshape(places.shape)
@@ -170,7 +159,8 @@ def _saddle_points(grey: np.ndarray, corners: Array, strips: Array, curvature: A
     inside = ((corners >= margin) & (corners <= size - 1 - margin)).all(axis=1)
     if not inside.any():
         return refined
-    reach = int(np.ceil(margin[inside].max())) + _SPLINE_SUPPORT_PX
+    # A border affects the blur and the spline over 12 px.
+    reach = int(np.ceil(margin[inside].max())) + 12
     low = np.maximum(np.floor(corners[inside].min(axis=0)).astype(int) - reach, 0)
     high = np.ceil(corners[inside].max(axis=0)).astype(int) + reach + 1
     part = grey[low[1] : high[1], low[0] : high[0]].astype(np.float32)
@@ -180,7 +170,8 @@ def _saddle_points(grey: np.ndarray, corners: Array, strips: Array, curvature: A
         spline, corners[inside] - low, strips[inside], curvature[inside]
     )
     refined[inside] = found + low
-    refined[asymmetry > max(MAX_ASYMMETRY, 4 * float(np.nanmedian(asymmetry)))] = np.nan
+    # Partly occluded corners differ from their half-turned copy by a tenth of the contrast.
+    refined[asymmetry > max(0.1, 4 * float(np.nanmedian(asymmetry)))] = np.nan
     return refined
 
 
@@ -195,7 +186,7 @@ def _fit_saddle_points(
     refined: Array = corners.copy()
     step: Array = np.zeros_like(corners)
     asymmetry: Array = np.zeros(len(corners))
-    for _ in range(ITERATIONS):
+    for _ in range(5):  # Newton steps, from within a pixel
         at = (refined[:, None] + bent).transpose(2, 0, 1)[::-1]
         grey_levels = map_coordinates(spline, at, order=3, prefilter=False, mode="mirror")
         in_strips = grey_levels.reshape(len(grey_levels), 2, -1)
@@ -208,5 +199,5 @@ def _fit_saddle_points(
         step[(det >= 0) | ~(np.abs(step).max(axis=1) <= MAX_SHIFT_PX)] = np.nan
         refined += step
     lost = ~(np.abs(refined - corners).max(axis=1) < MAX_SHIFT_PX)
-    lost |= ~(np.abs(step).max(axis=1) < CONVERGED_PX)
+    lost |= ~(np.abs(step).max(axis=1) < 0.05)  # px; no clear saddle point
     return np.where(lost[:, None], np.nan, refined), asymmetry

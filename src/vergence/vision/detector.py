@@ -15,9 +15,6 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.geometry.camera import Camera
 
-SEARCH_RADIUS = 0.2
-"""Half the side of the window that is searched first, over the image's width; for speed."""
-
 
 @dataclass(frozen=True, eq=False)
 class Detection:
@@ -52,7 +49,7 @@ def windows(image: np.ndarray, near: Array | None) -> list[tuple[slice, slice]]:
     # NaN fails the comparison.
     if near is None or not ((near >= 0) & (near <= [width - 1, height - 1])).all():
         return [everywhere]
-    radius = round(SEARCH_RADIUS * width)
+    radius = round(0.2 * width)  # small enough for a control step
     u, v = near.round().astype(int)
     rows = slice(max(v - radius, 0), min(v + radius, height))
     columns = slice(max(u - radius, 0), min(u + radius, width))

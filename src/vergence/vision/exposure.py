@@ -15,12 +15,6 @@ from vergence.errors import VergenceError
 
 NEARBY_PX = 31
 """Side of the square of the local mean [px]: twice that of a window that is matched."""
-_LEAST_STD = 1.0
-"""RMS contrast below which a part shows only noise and rounding [grey levels]."""
-_PARTS = 10
-"""Parts along the width of an image, for the ratio of contrasts."""
-_SMALLEST_PART_PX = 8
-"""Smallest side of such a part [px]."""
 _MIDDLE = 128
 """Grey level of no contrast."""
 
@@ -71,14 +65,14 @@ def _without_mean(image: np.ndarray, nearby_px: int) -> np.ndarray:
 
 def _contrast_ratio(first: np.ndarray, second: np.ndarray, both: np.ndarray) -> float:
     """Estimate the contrast of the first image over that of the second."""
-    part = max(first.shape[1] // _PARTS, _SMALLEST_PART_PX)
+    part = max(first.shape[1] // 10, 8)  # side in pixels
     whole = _means(both, part) > 0.999
     squares = [
         _means(np.square(image.astype(np.float32) - _MIDDLE), part)[whole]
         for image in (first, second)
     ]
     weights = np.minimum(*squares)
-    counted = weights >= _LEAST_STD**2
+    counted = weights >= 1.0  # grey levels^2; below, noise and rounding prevail
     if not counted.any():
         return 1.0
     ratios = np.sqrt(squares[0][counted] / squares[1][counted])

@@ -18,8 +18,6 @@ from vergence.vision.exposure import grey_levels
 _LEAST_STD_PX, _STD_MODULES = 0.05, 0.6
 """Standard deviation of a marker's centre [px]: a floor, and a part in inverse proportion to the
 width of a module [px]. Errors at a noise of 3 grey levels are smaller (tests/test_marker.py)."""
-_REFINED_WINDOW = 0.5
-"""Half the side of the window that refines a corner, in modules: it excludes the next edge."""
 
 
 def marker_detector(dictionary: str, marker_id: int) -> Detector:
@@ -38,7 +36,7 @@ def marker_detector(dictionary: str, marker_id: int) -> Detector:
     family = marker_family(dictionary, marker_id)
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-    parameters.relativeCornerRefinmentWinSize = _REFINED_WINDOW
+    parameters.relativeCornerRefinmentWinSize = 0.5  # modules: it excludes the next edge
     finder = cv2.aruco.ArucoDetector(family, parameters)
     modules = family.markerSize + 2  # with the black frame
 

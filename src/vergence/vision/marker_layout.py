@@ -18,20 +18,8 @@ from scipy.spatial import KDTree
 
 from vergence.geometry.board import Charuco, marker_family
 
-_NEAREST = 9
-"""Number of nearest markers to consider: itself, its four neighbours, and the next ones."""
-_TOLERANCE = 0.35
-"""Largest deviation of a neighbour from its place [squares]; perspective makes 0.2."""
-_MOST_SIDES = 2.1
-"""Largest side of a square over that of its marker; above, the nearest is two squares away."""
 _AS_NEAR = 1.5
 """Largest distance of a neighbour over that of the nearest one; the next is twice as far."""
-_FAR_TOLERANCE = 0.35
-"""Largest deviation of a farther marker from its place, over its distance."""
-_MOST_SQUARES = 100
-"""Largest number of squares in a row, as of `Charuco`."""
-_LEAST_PAIRS = 6
-"""Number of pairs from which a board is identified."""
 _CLEAR_SHARE = 0.8
 """Least share of pairs that agree with a right description: a misread marker in the middle of a
 small board spoils a tenth; with one square too many in a row half of them agree."""
@@ -72,21 +60,24 @@ def marker_pairs(quads: Sequence[np.ndarray], ids: np.ndarray, board: Charuco) -
     # The sides of each marker along its own x and y, which are the axes of the board.
     a, b, c, d = corners.swapaxes(0, 1)
     sides = np.stack([b + c - a - d, d + c - a - b], axis=-1) / 2
-    near = np.asarray(KDTree(centres).query(centres, k=min(_NEAREST, len(corners)))[1])
+    # Itself, its four neighbours, and the next ones.
+    near = np.asarray(KDTree(centres).query(centres, k=min(9, len(corners)))[1])
     first, second = np.repeat(np.arange(len(near)), near.shape[1] - 1), near[:, 1:].ravel()
     offsets = np.einsum(
         "pij,pj->pi", np.linalg.pinv(sides)[first], centres[second] - centres[first]
     )
     by_marker = np.abs(offsets).max(axis=1).reshape(len(near), -1)
     nearest = by_marker.min(axis=1)
-    # The nearest marker is a square away, unless many were not read.
+    # The nearest marker is a square away, unless many were not read and it is two: more than 2.1
+    # sides of a marker.
     square = float(np.median(nearest))
-    square = square if square < _MOST_SIDES else board.square_m / board.marker_m
+    square = square if square < 2.1 else board.square_m / board.marker_m
     steps, length = offsets / square, by_marker.ravel() / square
     neighbours = length < _AS_NEAR * nearest[first] / square
-    # A marker at a neighbour's distance but not in its place is not on the board.
+    # A marker at a neighbour's distance but not in its place is not on the board; perspective moves
+    # it by 0.2 squares.
     deviation = np.abs(steps - np.sign(steps)).max(axis=1)
-    neighbours &= (deviation < _TOLERANCE) | (length > _AS_NEAR)
+    neighbours &= (deviation < 0.35) | (length > _AS_NEAR)
     return MarkerPairs(np.stack([ids[first], ids[second]], axis=1)[neighbours], steps[neighbours])
 
 
@@ -110,11 +101,11 @@ def board_of(pairs: MarkerPairs, board: Charuco) -> Charuco | None:
     It has as many rows as the described board, or more if their markers are seen. None if too few
     pairs agree with any board.
     """
-    if len(pairs.ids) < _LEAST_PAIRS:
+    if len(pairs.ids) < 6:  # chance would decide
         return None
     last = int(pairs.ids.max())
     described = board.squares_x, _begins_white(board)
-    others = [(x, white) for white in (False, True) for x in range(3, _MOST_SQUARES + 1)]
+    others = [(x, white) for white in (False, True) for x in range(3, 101)]
 
     def share(layout: tuple[int, bool]) -> float:
         agree, compared = _agreement(pairs, _squares(*layout, last))
@@ -158,5 +149,5 @@ def _agreement(pairs: MarkerPairs, squares: np.ndarray) -> tuple[int, int]:
     first, second = pairs.ids[known].T
     steps = pairs.steps[known]
     deviation = np.abs(squares[second] - squares[first] - steps).max(axis=1)
-    agree = deviation < np.maximum(1, _FAR_TOLERANCE * np.abs(steps).max(axis=1))
+    agree = deviation < np.maximum(1, 0.35 * np.abs(steps).max(axis=1))
     return int(agree.sum()), int(known.sum())

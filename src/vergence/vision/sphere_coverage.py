@@ -16,20 +16,12 @@ from vergence.arrays import Array
 
 EDGE_PX = 1.6
 """Half width of the rim before the blur of the image is estimated [px]: that of a sharp camera."""
-_EDGE_LIMITS_PX = 1.0, 3.5
-"""Limits of the estimated half width of the rim [px]: a sharp image, and the window's margin."""
 CONTRAST = np.array([1.0, -0.5, -0.5])
 """Weights of the colours in the contrast of the sphere's colour to the mean of the others."""
 _COVER_STD = 0.5
 """Prior standard deviation of a pixel's coverage about that of the previous outline."""
 _NEARBY_PX, _NEARBY_STD_PX = (9, 9), 1.0
 """Support and standard deviation of the Gaussian average of the background beside the rim [px]."""
-_GREY_NOISE = 3.0
-"""Noise of a pixel in each colour, with rounding and fine texture [grey levels]."""
-_SHARE = 0.15
-"""Share of the covariance of all the surroundings that is added to that of the nearest pixels."""
-_SHADING_PIXELS = 2.0
-"""Ridge on the slopes of the shading, in pixels: a prior for even brightness."""
 _FITTED_PIXELS = 1000
 """Number of inner pixels to which the shading is fitted at most; limits the time."""
 
@@ -50,7 +42,8 @@ def coverage(window: np.ndarray, outward: Array, normals: np.ndarray, edge_px: f
     light = (light + _nearby(window - light, inside))[rim].astype(float)
     background, spread = _background(window, outside, rim)
     expected = np.clip(0.5 - outward[rim] / (2 * edge_px), 0, 1)
-    covariance = (1 - expected)[:, None, None] ** 2 * spread + _GREY_NOISE**2 * np.eye(3)
+    noise = 3.0**2 * np.eye(3)  # grey levels^2, with rounding and fine texture
+    covariance = (1 - expected)[:, None, None] ** 2 * spread + noise
     step = light - background
     weights = np.linalg.solve(covariance, step[..., None])[..., 0]
     measured = ((window[rim] - background) * weights).sum(axis=1)
@@ -84,7 +77,7 @@ def edge_width_px(cover: Array) -> float:
     """
     cover = np.clip(cover, 0, 1)
     std = float((cover * (1 - cover)).sum()) / (2 * sqrt(max(float(cover.sum()), 1.0)))
-    return float(np.clip(2 * std, *_EDGE_LIMITS_PX))
+    return float(np.clip(2 * std, 1.0, 3.5))  # a sharp image, and the window's margin
 
 
 def _inside(outward: Array, edge_px: float) -> np.ndarray:
@@ -100,7 +93,8 @@ def _background(window: np.ndarray, outside: np.ndarray, rim: np.ndarray) -> tup
     spread = near[:, 3:].reshape(-1, 3, 3) - mean[:, :, None] * mean[:, None]
     around = window[outside][:: 1 + np.count_nonzero(outside) // _FITTED_PIXELS]
     around = around - around.mean(axis=0)
-    return mean, spread + _SHARE * around.T @ around / len(around)
+    # The few nearest pixels underestimate their own spread.
+    return mean, spread + 0.15 * around.T @ around / len(around)
 
 
 def _nearby(values: np.ndarray, where: np.ndarray) -> np.ndarray:
@@ -120,6 +114,6 @@ def _shading(window: np.ndarray, normals: np.ndarray, inside: np.ndarray) -> np.
     colours, terms = window.reshape(-1, 3)[inner], normals.reshape(-1, 3)[inner]
     mean, middle = colours.mean(axis=0), terms.mean(axis=0)
     terms = terms - middle
-    ridge = _SHADING_PIXELS * np.eye(3, dtype=np.float32)
+    ridge = 2 * np.eye(3, dtype=np.float32)  # a prior for even brightness, of two pixels' weight
     slopes = np.linalg.solve(terms.T @ terms + ridge, terms.T @ (colours - mean))
     return normals @ slopes + (mean - middle @ slopes)

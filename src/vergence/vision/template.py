@@ -23,12 +23,6 @@ LEAST_SIDE_PX = 8
 """Smallest side of a template [px]; smaller pictures resemble too many places of an image."""
 LEAST_CONTRAST = 5.0
 """Least standard deviation of a template's grey levels: above the noise of a camera, 3."""
-_SIZE_STEP = 1.1
-"""Ratio of the sizes among which the size is interpolated: half of that between the scales."""
-_LEAST_STD_PX = 0.05
-"""Standard deviation without noise [px]: a parabola is not the exact shape of the peak."""
-_SHAPE_STD = 0.005
-"""Standard deviation over the template's side: slant and lens change the object's shape."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +162,7 @@ def _refine_size(image: np.ndarray, picture: np.ndarray, match: _Match) -> _Matc
     h, w = match.template.shape
 
     def resized(power: float) -> _Match | None:
-        size = [round(_SIZE_STEP**power * side) for side in (w, h)]
+        size = [round(1.1**power * side) for side in (w, h)]  # half the step of the scales
         corner = match.corner + (np.array([w, h]) - size) / 2
         return _match_near(image, _resized(picture, size), corner, 2)
 
@@ -237,5 +231,5 @@ def _std_px(match: _Match) -> float:
     gain = match.contrast / match.template.std()
     slopes = np.gradient(gain * match.template.astype(float))
     weakest = min(np.linalg.norm(slope) for slope in slopes)
-    by_shape = _SHAPE_STD * max(match.template.shape)
-    return float(np.linalg.norm([_LEAST_STD_PX, by_shape, noise / weakest]))
+    by_shape = 0.005 * max(match.template.shape)  # slant and lens change the object's shape
+    return float(np.linalg.norm([0.05, by_shape, noise / weakest]))  # the peak is no parabola

@@ -21,8 +21,6 @@ _CELL_LIMITS_PX = 6, 24
 neighbours for `relief_around`."""
 _NEIGHBOURS = 8
 """Number of neighbours that show the surface around a match; twelve give the same depth."""
-_NEIGHBOUR_PX = 40.0
-"""Largest distance of a neighbour [px]."""
 _SURFACE_PX = 15.0
 """Distance at which a neighbour has half the weight [px]: a window's width."""
 
@@ -82,7 +80,7 @@ def relief_around(at: Array, displaced: Array) -> Array:
     if len(at) <= _NEIGHBOURS:
         return np.zeros(len(at))
     tree = KDTree(at, balanced_tree=False, compact_nodes=False)  # fast to build
-    distance, which = tree.query(at, k=_NEIGHBOURS + 1, distance_upper_bound=_NEIGHBOUR_PX)
+    distance, which = tree.query(at, k=_NEIGHBOURS + 1, distance_upper_bound=40)
     # Neighbours lead, so that sums over them are of long rows.
     distance, which = (np.ascontiguousarray(np.asarray(a).T[1:]) for a in (distance, which))
     near = np.isfinite(distance)

@@ -46,17 +46,11 @@ the edges and the middle of a window, row by row."""
 _INFLATION = 4.0
 """Variance inflation of a displacement (design effect): interpolation and blur correlate errors
 over about two pixels."""
-_LARGEST_CHANGE_PX = 1.0
-"""Largest displacement from the tracked position [px]."""
 _SLOPE_STD = 0.1
 """Prior standard deviation of the change of the displacement per pixel: that of a surface inclined
 by 45 degrees, ten baselines away."""
 _LEAST_GREY = 0.5
 """Standard deviation of the difference of two pixels by rounding [grey levels]."""
-_FLOOR_PX = 0.01
-"""Standard deviation of a match without noise, by interpolation and perspective [px]."""
-_SLOPE_NOISE = 1 / 8
-"""Variance of a slope of the mean image, per variance of the difference of two pixels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +110,7 @@ def match_windows(
     difference += (by_state.swapaxes(1, 2) @ state)[..., 0]
     covariance, clear = _covariance(by_state, H, difference, prior)
     shift = state[:, :2, 0]
-    good = inside & clear & (np.linalg.norm(shift, axis=1) < _LARGEST_CHANGE_PX)
+    good = inside & clear & (np.linalg.norm(shift, axis=1) < 1)  # px; else of something else
     return Matched(found + shift, covariance, good)
 
 
@@ -208,7 +202,8 @@ def _covariance(
     """Estimate covariances (N, 2, 2) [px^2] of the displacements; return which are determined."""
     variance = _variance(difference)
     far = float((np.arange(-_HALF, _HALF + 1) ** 2).mean())
-    of_noise = WINDOW_PX**2 * _SLOPE_NOISE * np.diag([1, 1, far, far])
+    # A slope of the mean image has an eighth of the variance of the difference of two pixels.
+    of_noise = WINDOW_PX**2 / 8 * np.diag([1, 1, far, far])
     # The slopes of noise carry no information.
     information = H + variance[..., None] * (prior - of_noise)
     clear = _positive_definite(information)
@@ -220,7 +215,8 @@ def _covariance(
     # Nine sums, less the five degrees of freedom of the estimate and the mean.
     of_parts = moved @ np.swapaxes(moved, 1, 2) * (_PARTS**2 / (_PARTS**2 - 5))
     covariance = (_INFLATION * independent + of_parts) / 2
-    return covariance.astype(float) + _FLOOR_PX**2 * np.eye(2), clear
+    # Interpolation and perspective leave 0.01 px without noise.
+    return covariance.astype(float) + 0.01**2 * np.eye(2), clear
 
 
 def _positive_definite(matrices: np.ndarray) -> np.ndarray:

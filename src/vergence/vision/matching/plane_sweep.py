@@ -14,24 +14,14 @@ import numpy as np
 
 from vergence.arrays import Array
 
-_WIDTH_PX = 80
-"""Approximate width of the small images [px]; for speed."""
 _NEAREST, _BEYOND = 1 / 3, 1 / 32
 """Largest displacement over the image's width, and the largest in the other direction, which far
 things have if the prediction is wrong by degrees."""
-_SIDE_PX = 5
-"""Side of the squares that are compared [px of the small images]."""
-_MEDIAN_PX = 5
-"""Side of the median filter of the depths [px of the small images]."""
-_CLEAR = 0.5
-"""Largest difference at a clear plane over the mean of all planes; 0.7 gives the same matches."""
-_OUTSIDE = 1e4
-"""Difference from places outside the second image [grey levels]: above any real one."""
 
 
 def step_px(width: int) -> int:
     """Return the displacement between neighbouring planes: a pixel of the small images."""
-    return max(width // _WIDTH_PX, 1)
+    return max(width // 80, 1)  # about 80 px wide, for speed
 
 
 def inverse_depths(
@@ -69,15 +59,15 @@ def inverse_depths(
             size,
             flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
             borderMode=cv2.BORDER_CONSTANT,
-            borderValue=_OUTSIDE,
+            borderValue=1e4,  # more than any difference, also in the mean of a square
         )
-        cv2.boxFilter(cv2.absdiff(a, displaced), -1, 2 * (_SIDE_PX,), dst=difference[k])
+        cv2.boxFilter(cv2.absdiff(a, displaced), -1, (5, 5), dst=difference[k])
     visible = difference < 256
     mean = np.einsum("kij,kij->ij", difference, visible) / np.maximum(visible.sum(axis=0), 1)
     least = difference.min(axis=0)
-    clear = least < _CLEAR * mean
+    clear = least < 0.5 * mean  # 0.7 gives the same matches
     # argmin takes five times as long along the first axis.
     numbers = np.arange(len(planes), dtype=np.uint8)[:, None, None]
-    best = cv2.medianBlur((numbers * (difference == least)).max(axis=0), _MEDIAN_PX)
+    best = cv2.medianBlur((numbers * (difference == least)).max(axis=0), 5)
     column, row = np.clip(((at + 0.5) // step).astype(int), 0, np.array(size) - 1).T
     return np.where(clear[row, column], planes[best[row, column]], np.nan)

@@ -26,24 +26,6 @@ _FEW = 150
 """Number of matches below which images of half the size are tried; rooms give 370 and more."""
 _WINDOW_PX = 9
 """Side of the tracker's windows [px]; 11 take half as long again, for 4 % more matches."""
-_LEVELS = 3
-"""Pyramid levels of the tracker; it reaches 50 px at best."""
-_EXPECTED_DEPTH_M = 1.5
-"""Depth at which tracking starts without other knowledge [m]: within a room."""
-_FAR_PX = 12.0
-"""Distance of the start to the plane sweep's prediction, from which that is tried too [px]. At
-20 px, trackers lose two fifths of the features."""
-_SWEPT_MEAN = 4
-"""Side of the local mean for the plane sweep [px of its small images]: that of tracking in images
-of 640 px."""
-_ROUND_TRIP_PX = 0.3
-"""Largest distance between a feature and where tracking forth and back ends [px]."""
-_LEAST_FORWARD = 0.1
-"""Least component of a ray along the optical axis; others leave any view."""
-_LARGEST_STD_PX = 0.7
-"""Largest standard deviation of a match [px]; others carry little information for their time."""
-_LARGEST_RELIEF_PX = 0.4
-"""Largest relief around a match [px]."""
 _ACROSS = 0.2
 """Displacement across the epipolar line over the relief; fitted to rendered images of one head at
 known postures, where 0.1 to 0.3 are about as good."""
@@ -132,7 +114,7 @@ def track_features(
     views = turned_views((before, now), (camera, camera), T_now_before)
     rays = np.column_stack([normalise(camera, pixels), np.ones(len(pixels))])
     rays = np.nan_to_num(rays @ views.R_view_first.T)
-    ahead = rays[:, 2] > _LEAST_FORWARD
+    ahead = rays[:, 2] > 0.1  # others leave any view
     at = views.focal * rays[:, :2] / np.where(ahead, rays[:, 2], 1.0)[:, None] + views.middle
     at, whole = np.round(at), whole_windows(views.inside)
     column, row = np.clip(at // 2, 0, np.array(whole.shape[::-1]) - 1).astype(int).T
@@ -149,7 +131,8 @@ def _matched(views: TurnedViews, at: Array, depths_m: Array | None) -> tuple[Mat
     Depths (M,), if they are known, give the start of the search and the growth of the windows.
     """
     by_depth = views.focal * views.shift[:2] - (at - views.middle) * views.shift[2]
-    inverse_depth = 1 / (np.full(len(at), _EXPECTED_DEPTH_M) if depths_m is None else depths_m)
+    # Without depths the search starts within a room.
+    inverse_depth = 1 / (np.full(len(at), 1.5) if depths_m is None else depths_m)
     images = of_equal_contrast(views.first, views.second, views.inside)
     starts = at + by_depth * inverse_depth[:, None]
     if depths_m is None:
@@ -162,7 +145,7 @@ def _matched(views: TurnedViews, at: Array, depths_m: Array | None) -> tuple[Mat
     along = np.where(square[:, None] > 1e-12, by_depth / np.sqrt(square)[:, None], [1.0, 0.0])
     kept = np.flatnonzero(sure)
     relief = relief_around(at[kept], ((found - at) * along)[kept].sum(axis=1))
-    flat = relief < _LARGEST_RELIEF_PX
+    flat = relief < 0.4  # px
     kept, relief = kept[flat], relief[flat]
     at, found, along, inverse_depth = at[kept], found[kept], along[kept], inverse_depth[kept]
     if depths_m is None:
@@ -178,7 +161,8 @@ def _matched(views: TurnedViews, at: Array, depths_m: Array | None) -> tuple[Mat
     )
     pixels, by_view = on_map(views.maps[1], matched.pixels)
     covariance = by_view @ matched.covariance @ np.swapaxes(by_view, 1, 2)
-    good = matched.good & (np.linalg.eigvalsh(covariance)[:, 1] < _LARGEST_STD_PX**2)
+    # Matches with a deviation above 0.7 px carry little information for their time.
+    good = matched.good & (np.linalg.eigvalsh(covariance)[:, 1] < 0.7**2)
     covariance += ((_ACROSS * relief) ** 2)[:, None, None] * np.eye(2)
     column, row = at[good].astype(int).T
     left = np.stack([plane[row, column] for plane in views.maps[0]], axis=-1).astype(float)
@@ -198,7 +182,7 @@ def _track_far(
     tracked from that prediction too, which takes precedence: repeated patterns look the same some
     periods away. Returns positions (N, 2), and which are sure.
     """
-    nearby_px = _SWEPT_MEAN * step_px(views.first.shape[1]) - 1
+    nearby_px = 4 * step_px(views.first.shape[1]) - 1  # as for tracking in images of 640 px
     swept = images
     if nearby_px > NEARBY_PX:  # the sweep's small images of large ones need contrast, too
         swept = of_equal_contrast(views.first, views.second, views.inside, nearby_px)
@@ -206,7 +190,8 @@ def _track_far(
         *swept, at, focal=views.focal, middle=views.middle, shift=views.shift
     )
     others = at + by_depth * inverse_depth[:, None]
-    far = np.flatnonzero(np.linalg.norm(others - starts, axis=1) > _FAR_PX)
+    # At 20 px, trackers lose two fifths of the features.
+    far = np.flatnonzero(np.linalg.norm(others - starts, axis=1) > 12)
     both = np.concatenate([np.arange(len(at)), far])
     found, sure = _track(*images, at[both], np.concatenate([starts, others[far]]))
     (found, found_far), (sure, sure_far) = (np.split(a, [len(at)]) for a in (found, sure))
@@ -228,12 +213,12 @@ def _track(
     }
     points = at.astype(np.float32)
     found, good, _ = cv2.calcOpticalFlowPyrLK(
-        view, other, points, start.astype(np.float32), maxLevel=_LEVELS, **options
+        view, other, points, start.astype(np.float32), maxLevel=3, **options
     )
     # The way back starts at its end and needs no pyramid.
     back, again, _ = cv2.calcOpticalFlowPyrLK(
         other, view, found, points.copy(), maxLevel=0, **options
     )
-    near = np.linalg.norm(back - points, axis=1) < _ROUND_TRIP_PX
+    near = np.linalg.norm(back - points, axis=1) < 0.3  # px
     sure = (good[:, 0] == 1) & (again[:, 0] == 1) & near
     return found.astype(float), sure
