@@ -289,7 +289,7 @@ def test_the_guide_to_plans_runs(calibrated, quick, tmp_path, monkeypatch, capsy
     [
         ([], "say it with --board COLUMNS ROWS SQUARE_M"),
         (["--board", "9", "6", "30"], "the side of a square up to 1 m, found 9 6 30"),
-        (["--board", "9", "6", "0.03", "--views", "0"], "1 to 100 views"),
+        (["--board", "9", "6", "0.03", "--views", "0"], "--views takes numbers above 0"),
         (["--board", "9", "6", "0.03", "--seed", "-1"], "seed must be a whole number from 0"),
         (["--board", "9", "6", "0.03", "--limits-deg", "25", "20"], "one for each of left_pan"),
         (["--board", "9", "6", "0.03", "--limits-deg", "-5"], "--limits-deg takes numbers above 0"),

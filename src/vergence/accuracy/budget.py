@@ -53,6 +53,11 @@ class Source:
     errors: Mapping[str, float] = field(default_factory=dict)
     """Calibration minus truth, by parameter of the head."""
 
+    def __post_init__(self) -> None:
+        stds = np.concatenate([np.ravel(self.pixel_std_px), np.ravel(self.joint_std_rad)])
+        if not ((stds >= 0) & (stds < np.inf)).all():
+            raise VergenceError(f"{self.name} has a standard deviation of 0 or more, found {stds}.")
+
 
 @dataclass(frozen=True, eq=False)
 class Part:
@@ -193,7 +198,7 @@ def _white(located: Linearised, seen: Sightings, source: Source) -> Array:
         pixel_std_px=source.pixel_std_px,
         joint_std_rad=source.joint_std_rad,
     )
-    return sum((change**2).sum(axis=2).mean(axis=0) for change in by_noise(located, noisy))
+    return sum(((c**2).sum(axis=2).mean(axis=0) for c in by_noise(located, noisy)), np.zeros(3))
 
 
 def _by_group(head: HeadCalibration, names: tuple[str, ...], by_head: Array) -> dict[str, Array]:

@@ -27,10 +27,6 @@ from vergence.errors import VergenceError, explain
 from vergence.files import parse_json, read_parsed, validated
 from vergence.geometry.camera import ImageSide
 
-MOST_WANTED = 1_000_000
-"""Limit of the accuracy [mm] and of the distance [m] that may be wanted."""
-MAX_BYTES = 2**16
-"""Maximum size of a file of settings [bytes]."""
 MAX_DESIGNS = 50_000_000
 """Maximum number of designs of a sweep: their errors take 400 MB for each distance."""
 
@@ -232,22 +228,17 @@ def load_settings(path: Path) -> DesignSettings:
         what,
         lambda content: validated(content, DesignSettings),
         parse,
-        most_bytes=MAX_BYTES,
+        most_bytes=2**16,  # a file that is written by hand
     )
 
 
 def merged_settings(
-    path: Path | None, axes: dict[str, tuple[float, ...]], *, accuracy_mm: float, at_m: float
+    path: Path | None, axes: dict[str, tuple[float, ...]], *, at_m: float
 ) -> DesignSettings:
     """Replace axes of the settings in a file, or of the default ones; add a distance `at_m`.
 
     VergenceError for a file or a value that is not possible.
     """
-    for name, value in (("--accuracy-mm", accuracy_mm), ("--at-m", at_m)):
-        if not 0 < value < MOST_WANTED:
-            raise VergenceError(
-                f"{name} takes a number above 0 and below {MOST_WANTED:,}, found {value:g}."
-            )
     chosen = (DesignSettings() if path is None else load_settings(path)).model_dump()
     chosen["designs"] |= axes
     distances = chosen["workspace"]["distances_m"]

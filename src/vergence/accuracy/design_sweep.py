@@ -119,8 +119,8 @@ def assemble(settings: DesignSettings, found: list[Array]) -> Sweep:
     """Assemble a sweep from its chunks, in their order."""
     designs = settings.designs
     shape = [len(getattr(designs, name)) for name in AXES]
-    whole = np.moveaxis(np.array(found), 1, 0).reshape(2, *shape, -1)
-    return Sweep(settings, whole[0], whole[1], costs(settings))
+    worst_m, mean_m = np.moveaxis(np.array(found), 1, 0).reshape(2, *shape, -1)
+    return Sweep(settings, worst_m, mean_m, costs(settings))
 
 
 def cheapest(

@@ -10,7 +10,7 @@ import numpy as np
 
 from vergence.accuracy.budget import Budget, Source, budget
 from vergence.accuracy.motions import PERIOD_S, eye_angles
-from vergence.arrays import MAX_M, Array
+from vergence.arrays import Array
 from vergence.data.reader import load_dataset
 from vergence.data.stereo_rows import check_readings_match
 from vergence.errors import VergenceError, counted
@@ -19,10 +19,6 @@ from vergence.geometry.kinematics import EYE_JOINTS
 
 SAMPLES = 400
 """Samples of a motion; budgets of more samples differ by less than a printed digit."""
-
-
-MOST_NOISE_PX = 100.0
-"""Largest noise of a pixel coordinate [px]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,22 +32,11 @@ class MotionBudgets:
 
 
 def stated_sources(head: HeadCalibration, pixel_std_px: float | None) -> list[Source]:
-    """Return the noise that a calibration states; `pixel_std_px` replaces that of pixels."""
+    """Collect the noise that a calibration states; `pixel_std_px` replaces that of pixels."""
     pixels = pixel_stds(head, None) if pixel_std_px is None else pixel_std_px
     joints = reading_stds(head)
     sources = [Source("pixel noise", pixel_std_px=pixels)] if np.any(pixels) else []
     return sources + [Source("joint noise", joint_std_rad=joints)] * bool(joints.any())
-
-
-def check_budget(points: Array, noise_px: float | None) -> None:
-    """Raise VergenceError for points (K, 3) [m] or a noise of pixels that are out of range."""
-    if noise_px is not None and not 0 <= noise_px <= MOST_NOISE_PX:
-        raise VergenceError(
-            f"--noise is a standard deviation from 0 to {MOST_NOISE_PX:g} px; found {noise_px:g}."
-        )
-    if not np.abs(points).max() <= MAX_M:
-        found = ", ".join(" ".join(f"{x:g}" for x in point) for point in points)
-        raise VergenceError(f"--at takes coordinates up to {MAX_M:g} m; found {found}.")
 
 
 def motion_budgets(
@@ -109,9 +94,9 @@ def _check_finite_distance(found: Budget) -> None:
 
 
 def motion_of(name: str, head: HeadCalibration) -> tuple[Array, Array]:
-    """Return readings (T, r) [rad] of a motion and their rates (T, r) [rad/s].
+    """Make the readings (T, r) [rad] of a motion and their rates (T, r) [rad/s].
 
-    VergenceError if there is no such motion or dataset, or its readings are not the head's.
+    VergenceError if the motion or dataset does not exist, or has other readings than the head.
     """
     if name in PERIOD_S:
         time_s = np.arange(SAMPLES) * PERIOD_S[name] / SAMPLES

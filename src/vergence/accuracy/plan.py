@@ -32,8 +32,6 @@ LIMIT_RAD = float(np.radians(20.0))
 """Maximum turn of a joint [rad]; beyond, a board is hard to hold."""
 CANDIDATES = (40, 12)
 """Places of the board that are tried, and directions of gaze at each."""
-LEAST_PX = 1e-3
-"""Noise of corners [px] for a calibration that states none."""
 POWER = 8
 """Power of the mean over the points' standard deviations that views minimise. Their maximum would
 rate most views as useless."""
@@ -114,7 +112,7 @@ def plan(
         tried,
         known.names,
         scale=known.scale,
-        pixel_std_px=pixel_px or LEAST_PX,
+        pixel_std_px=pixel_px or 1e-3,  # for a calibration that states no noise
         joint_stds=reading_stds(head)[None],
     )
     by_scaled = points.by_parameters * known.scale

@@ -20,16 +20,11 @@ from vergence.geometry.head import HeadCalibration, check_states_covariance
 from vergence.geometry.parameter_names import POSE
 from vergence.geometry.parameters import parameter_names
 
-LEAST_JOINT_STD = 1e-6
-"""Minimum noise of a reading [rad], for a calibration that states exact joints."""
 CORNERS_AT_A_TIME = 20_000
 """Number of corners that are linearised together: their derivatives take 50 MB for each camera, and
 those of all views of a board of 10,000 corners gigabytes."""
 
 OF_READINGS = "A plan says which joint readings to take;"
-
-_FIXED = 1e-12
-"""Variance of a combination, relative to that of its parameters, below which it is fixed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +48,7 @@ def known_of(head: HeadCalibration) -> Knowledge:
     scale = np.sqrt(np.diag(accuracy.covariance))
     # A covariance may hold combinations of parameters fixed.
     values, directions = np.linalg.eigh(accuracy.covariance / np.outer(scale, scale))
-    information: Array = (directions / np.maximum(values, _FIXED)) @ directions.T
+    information: Array = (directions / np.maximum(values, 1e-12)) @ directions.T
     return Knowledge(accuracy.parameters, scale, information)
 
 
@@ -124,7 +119,7 @@ def _part_information(
     found = np.repeat(by_view[None], len(joint_stds), axis=0)
     for information, stds in zip(found, joint_stds, strict=True):
         # In pixels: J^T J - J^T L (L^T L + s^2 / j^2)^-1 L^T J.
-        ratio = pixel_std_px / np.maximum(stds[postures.columns], LEAST_JOINT_STD)
+        ratio = pixel_std_px / np.maximum(stds[postures.columns], 1e-6)  # joints stated as exact
         tied = latent + np.eye(n) * (ratio**2)[:, None]
         lost = across @ np.linalg.solve(tied, np.swapaxes(across, 1, 2))
         np.subtract.at(information, postures.view, lost)

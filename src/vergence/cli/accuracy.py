@@ -123,7 +123,7 @@ def design(
     check_outputs(folder=out, names=RESULTS, title=f"# {TITLE}", inputs=inputs)
     process_count(jobs)
     axes = {name: options[name] for name in AXES if options[name] is not None}
-    chosen = merged_settings(settings, axes, accuracy_mm=accuracy_mm, at_m=at_m)
+    chosen = merged_settings(settings, axes, at_m=at_m)
     with progress_bars() as progress, results_folder(out):
         swept = sweep(chosen, out / "chunks", jobs=jobs, cluster=cluster, progress=progress)
         return write_design(out, swept, accuracy_m=1e-3 * accuracy_mm, distance_m=at_m)
@@ -159,7 +159,7 @@ def budget(
     """
     import numpy as np
 
-    from vergence.accuracy.motion_budget import check_budget, motion_budgets, stated_sources
+    from vergence.accuracy.motion_budget import motion_budgets, stated_sources
     from vergence.cli.accuracy_reports import budget_report
     from vergence.cli.outputs import check_outputs
     from vergence.data.description import DESCRIPTION, FRAMES
@@ -170,7 +170,6 @@ def budget(
     inputs += [Path(profile)] if profile else []
     check_outputs(json, figure=figure, inputs=inputs)
     points = np.array(at or AHEAD)
-    check_budget(points, noise)
     # The twin needs OpenGL, and a real head does not.
     if calibration is None:
         from vergence.twin.model import nominal_head

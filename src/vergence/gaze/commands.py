@@ -28,8 +28,6 @@ NECK, EYE_READINGS = slice(0, len(NECK_JOINTS)), slice(len(NECK_JOINTS), None)
 """Columns of the neck and of both eyes in a posture (..., j)."""
 HOLD_S = 0.1
 """Time after which a moving goal stops if no further command arrives [s]; three frames."""
-_TIMEOUT_S = 0.1
-"""Time that a recorded head waits for a frame after its last one [s]."""
 _AGES = (np.arange(100) + 0.5) * 0.08
 """Ages of the set points that are averaged to simulate a lag [time constants]. The error after a
 turn by 25 degrees is below 0.04 degrees."""
@@ -186,7 +184,7 @@ class RecordedHead:
         """Return the time of the latest row [s]; it increases after the last row."""
         rows = len(self._dataset)
         last = float(self._dataset.time_s[max(min(self._reads, rows) - 1, 0)])
-        return last + _TIMEOUT_S * max(self._reads - rows, 0)
+        return last + HOLD_S * max(self._reads - rows, 0)
 
     def read(self, cameras: Sequence[str]) -> Frame | None:
         """Read the next row with all its images; None after the last row."""

@@ -51,11 +51,6 @@ from vergence.geometry.kinematics import eye_turn, readings_to_turn
 from vergence.geometry.neck import NECK_JOINTS
 from vergence.geometry.se3 import inverse, transform
 
-_RATE_STEP_S = 1e-3
-"""Time step of the finite difference for the rate of the angles to the object [s]."""
-_AT_REST = 0.25
-"""Speed by the readings, relative to that by the commands, below which an object rests. At 0.5 the
-noise of readings would often stop the pursuit of a slow object."""
 _SEARCH_RAD = np.array(
     [(0, 0), (0.5, 0), (-0.5, 0), (-0.5, 0.3), (0.5, 0.3), (0.5, -0.3), (-0.5, -0.3)]
 )
@@ -149,12 +144,13 @@ def _follow(
         aim_now = _in_left_base(settings, aim.position, neck_now)
         eyes_now = gaze_angles(calibration, aim_now, cameras=settings.narrow)
         state = _turn_neck(settings, state, eyes_now, now_s)
-    moments = np.array([image_s, now_s, now_s + _RATE_STEP_S])
+    step_s = 1e-3  # of the finite difference for the rate of the eyes
+    moments = np.array([image_s, now_s, now_s + step_s])
     velocity = aim.velocity * _is_moving(settings, state)
     # Set points lead the object by the lag of the servos.
     ahead_s = moments - image_s + np.array([0.0, 1.0, 1.0]) * settings.servo_lag_s
     points = aim.position + ahead_s[:, None] * velocity
-    necks = np.stack([neck_then, neck_now, neck_now + _RATE_STEP_S * state.neck_rate])
+    necks = np.stack([neck_then, neck_now, neck_now + step_s * state.neck_rate])
     left = _in_left_base(settings, points, necks)
     points_base = {"left": left, "right": transform(calibration.T_rbase_lbase, left)}
     targets = {}
@@ -166,7 +162,7 @@ def _follow(
         targets[cameras.narrow] = np.vstack([points_base[eye], sighted])
     then, now, soon, to_sighted = solve_fixation(calibration, targets)
     goal = now + to_sighted - then
-    return _move_eyes(settings, state, goal, (soon - now) / _RATE_STEP_S, now_s)
+    return _move_eyes(settings, state, goal, (soon - now) / step_s, now_s)
 
 
 def _turn_neck(settings: GazeSettings, state: GazeState, eyes: Array, now_s: float) -> GazeState:
@@ -251,14 +247,15 @@ def _send(state: GazeState, command: HeadCommand, **changes: Any) -> GazeState:
 def _is_moving(settings: GazeSettings, state: GazeState) -> bool:
     """Test whether the object moves across the line of sight from frame body's origin.
 
-    The commands decide, unless the object nearly rests by the readings. Joints that lag behind
-    their set points make an object at rest seem to move, and following it would keep them moving.
+    The commands decide, unless the speed by the readings is below a quarter of theirs: joints that
+    lag behind their set points make an object at rest seem to move, and following it would keep
+    them moving. With a half, the noise of readings would stop the pursuit of a slow object.
     """
     if state.aim is None:
         return False
     speed = _angular_speed(state.aim)
     by_readings = speed if state.track is None else _angular_speed(state.track)
-    return speed > settings.moving_rad_s and by_readings > _AT_REST * speed
+    return speed > settings.moving_rad_s and by_readings > 0.25 * speed
 
 
 def _angular_speed(track: Track) -> float:

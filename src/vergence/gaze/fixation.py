@@ -20,14 +20,8 @@ from vergence.geometry.kinematics import (
 from vergence.geometry.projection import projected
 
 _UNIT_LENS = pinhole(1, 1, 1.0)  # its pixels are x/z and y/z
-_MAX_STEPS = 20
-"""Maximum number of Gauss-Newton steps; most points need four."""
 _CONVERGED = 1e-8
 """Error of x/z and y/z, and step of a joint [rad], at convergence: one more step squares it."""
-_LARGEST_STEP_RAD = 0.5
-"""Maximum step of a joint [rad], within which the projection is nearly linear."""
-_COMPROMISE = 0.1
-"""Maximum error of x/z and y/z where eyes that share a joint cannot both be centred."""
 
 
 def solve_fixation(
@@ -89,9 +83,10 @@ def _centre(
     factors = kinematics.factors[used]  # steps are those of joints, also before a gear
     readings = np.zeros((*usable.shape, len(kinematics.readings)))
     readings[..., used] = least_readings(np.concatenate(maps), np.concatenate(turns, axis=-1))
-    reached = _CONVERGED if 2 * len(targets) <= len(used) else _COMPROMISE
+    # Eyes that share a joint cannot both be centred: 0.1 of x/z and y/z is the most to accept.
+    reached = _CONVERGED if 2 * len(targets) <= len(used) else 0.1
     settled, front = np.zeros(usable.shape, dtype=bool), usable
-    for _ in range(_MAX_STEPS):
+    for _ in range(20):  # most points need four steps
         found = [_off_centre(kinematics, cameras[name], readings, p) for name, p in points.items()]
         errors, jacobians, fronts = zip(*found, strict=True)
         error = np.concatenate(errors, axis=-1)
@@ -102,7 +97,7 @@ def _centre(
         if held.any():  # joints that rest against a limit leave the others to do the best
             free = np.where(held[..., None, :], 0.0, J[..., used])
             step = np.where(held, 0.0, _gauss_newton(free, error))
-        turn = np.clip(factors * step, -_LARGEST_STEP_RAD, _LARGEST_STEP_RAD)
+        turn = np.clip(factors * step, -0.5, 0.5)  # [rad], as far as the projection is linear
         readings[..., used] = np.clip(now - turn / factors, -limits, limits)
         front = np.concatenate(fronts, axis=-1).all(axis=-1)
         small = (np.abs(turn) < _CONVERGED).all(axis=-1)

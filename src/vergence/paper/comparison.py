@@ -23,10 +23,6 @@ from vergence.twin.sensors import with_sensors
 from vergence.vision.sphere import STD_PX
 
 PAPER, SINGLE, LEARNED, FLOOR = "paper", "single-frame", "learned", "floor"
-_KNOWN = 1e-8
-"""Factor of the prior's covariance where the true head is given."""
-_NECK = np.zeros(3)
-"""Readings of the neck, which rests [rad]."""
 
 
 @dataclass(eq=False)
@@ -57,7 +53,7 @@ class Comparison:
             )
             self.points[method].append(found.xyz[0])
             if method == LEARNED:
-                self.learning = update_with_estimate(self.learning, seen, _NECK)
+                self.learning = update_with_estimate(self.learning, seen, np.zeros(3))
 
 
 def comparison(
@@ -74,7 +70,7 @@ def comparison(
     states = {SINGLE: before_looking(head).state}
     if floor:
         known = initial_state(with_sensors(twin.truth, twin.profile.joints))
-        states[FLOOR] = replace(known, covariance=known.covariance * _KNOWN)
+        states[FLOOR] = replace(known, covariance=known.covariance * 1e-8)
     return Comparison(states, learning, {method: [] for method in (SINGLE, LEARNED, *states)})
 
 

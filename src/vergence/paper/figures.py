@@ -42,6 +42,7 @@ FIGURES = {
         Figure(11, "divergent", "4.0mm", (0.643, 0.173, -0.035), (0.029, 0.011, 0.002)),
     )
 }
+"""The paper's figures by number."""
 
 
 def default_duration_s(motion: Motion) -> float:
