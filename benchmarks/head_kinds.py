@@ -30,14 +30,14 @@ from simulated_head import HEIGHT, WIDTH, probability, random_head
 from simulated_recording import Noise, facing, inside_image, observe
 from vergence.arrays import Array
 from vergence.calibration.calibrate import CalibrationResult, calibrate
-from vergence.calibration.checks.lens_map import (
+from vergence.calibration.detection import SYSTEMATIC_PX
+from vergence.calibration.lens_choice import LensOption
+from vergence.calibration.lens_map import (
     pixel_covariance,
     reference_pixels,
     unit_rays,
     without_turn,
 )
-from vergence.calibration.detection import SYSTEMATIC_PX
-from vergence.calibration.lens_choice import LensOption
 from vergence.calibration.observations import Observations
 from vergence.calibration.summary import verdict
 from vergence.errors import VergenceError

@@ -98,7 +98,7 @@ def two_folds(monkeypatch: pytest.MonkeyPatch) -> None:
 
     Also where each of few views would be left out by itself.
     """
-    from vergence.calibration.checks import cross_validation
+    from vergence.calibration import cross_validation
 
     monkeypatch.setattr(cross_validation, "FOLDS", 2)
     monkeypatch.setattr(cross_validation, "EACH_BELOW", 0)

@@ -1,8 +1,6 @@
 """Boards numbered from the wrong end are turned, all of them and no others."""
 
-from collections.abc import Mapping
 from dataclasses import replace
-from itertools import combinations
 
 import numpy as np
 import pytest
@@ -12,14 +10,13 @@ from simulated_recording import Noise, Recording, as_poses, record
 from texts import texts
 from turned_boards import count, flips, rolled, squared
 from vergence.arrays import Array
-from vergence.calibration.checks.board_flips import (
-    CLEAR,
-    findings,
+from vergence.calibration.board_numbering import (
     number_alike,
     turn_boards,
+    without_unclear,
 )
-from vergence.calibration.checks.flip_evidence import agreed_shifts
 from vergence.calibration.observations import Observations
+from vergence.errors import VergenceError
 from vergence.geometry.board import Charuco, corner_points
 from vergence.geometry.head import HeadCalibration
 from vergence.vision.board_pose import board_poses
@@ -74,7 +71,7 @@ def test_good_boards_are_left_alone():
     truth, views = seen(10)
     found = number_alike(views, rough_poses(truth, views))
     assert not any(each.any() for each in found.turns.values())
-    assert findings(found) == []
+    assert without_unclear(views, found)[1] == []
 
 
 def test_square_boards_are_turned_by_quarters():
@@ -100,15 +97,14 @@ def test_charuco_boards_have_numbers_of_their_own():
     assert number_alike(bad, rough_poses(truth, bad)).observations is bad
 
 
-def test_boards_that_one_view_leaves_open_are_named():
+def test_boards_that_nothing_settles_are_refused():
     truth, views = seen(14, Recording(straight=1, orientations=0))
     both = {name: corners for name, corners in views.corners.items() if name.endswith("wide")}
     views = replace(views, corners=both)
     found = number_alike(views, rough_poses(truth, views))
     assert not any(each.any() for each in found.turns.values())
-    (said,) = texts(findings(found))
-    assert "is not clear" in said
-    assert "view 0 of left_wide; view 0 of right_wide" in said
+    with pytest.raises(VergenceError, match=r"in view 0 of left_wide: use a board whose ends"):
+        without_unclear(views, found)
 
 
 ONE_PLACEMENT = [
@@ -122,7 +118,7 @@ def test_a_board_at_one_place_is_not_doubted(recording: Recording):
         truth, views = seen(seed, recording)
         found = number_alike(views, rough_poses(truth, views))
         assert not any(each.any() for each in found.turns.values())
-        assert texts(findings(found)) == []
+        assert texts(without_unclear(views, found)[1]) == []
 
 
 @pytest.mark.parametrize("recording", ONE_PLACEMENT, ids=lambda each: each.orientations)
@@ -135,7 +131,7 @@ def test_a_board_at_one_place_that_one_camera_numbers_from_the_other_end_is_turn
         bad = turn_boards(views, upside_down)
         found = number_alike(bad, rough_poses(truth, bad))
         shared = [each.astype(bool) for each in found.turns.values() if each.any()]
-        assert texts(findings(found)) == []
+        assert texts(without_unclear(views, found)[1]) == []
         np.testing.assert_array_equal(shared, [np.ones(len(views.placement), bool)])
 
 
@@ -143,49 +139,5 @@ def test_bases_of_measured_poses_tell_nothing_of_a_board_at_one_place():
     truth, views = seen(20, ONE_PLACEMENT[-1])
     views = as_poses(views)
     found = number_alike(views, rough_poses(truth, views))
-    (said,) = texts(findings(found))
-    assert "is not clear" in said
-
-
-def votes(
-    rng: np.random.Generator, cameras: int, n: int
-) -> tuple[np.ndarray, Array, dict[tuple[int, int], Array]]:
-    """Return true shifts of cameras, and costs by which 19 of 20 pairs show them."""
-    true, pairs = rng.integers(0, n, cameras), {}
-    for a, b in combinations(range(cameras), 2):
-        if b == a + 1 or rng.random() < 0.5:  # not all cameras see the board together
-            cost = rng.uniform(5, 20, n)
-            cost[(true[b] - true[a]) % n if rng.random() < 0.95 else rng.integers(n)] = 0.0
-            pairs[a, b] = cost
-    return true, 0.7 * (np.arange(n) > 0) + rng.uniform(0, 0.1, (cameras, n)), pairs
-
-
-def best_of_all(own: Array, pairs: Mapping[tuple[int, int], Array]) -> tuple[np.ndarray, float]:
-    """Return the best of all shifts (C,), and what the next best costs more in pairs of cameras."""
-    C, n = own.shape
-    shifts = np.indices((n,) * C).reshape(C, -1).T
-    each = [cost[(shifts[:, b] - shifts[:, a]) % n] for (a, b), cost in pairs.items()]
-    between = np.sum(each, axis=0)
-    best = int((between + own[np.arange(C), shifts].sum(axis=1)).argmin())
-    change = (shifts - shifts[best]) % n
-    others = between[(change != change[:, :1]).any(axis=1)]
-    return shifts[best], float(others.min() - between[best])
-
-
-@pytest.mark.parametrize(("cameras", "n"), [(2, 2), (5, 2), (9, 2), (4, 4), (6, 4)])
-def test_cameras_that_are_joined_by_parts_agree_as_when_all_shifts_are_tried(cameras: int, n: int):
-    for seed in range(20):
-        _, own, pairs = votes(np.random.default_rng(seed), cameras, n)
-        shifts, evidence = best_of_all(own, pairs)
-        by_parts, stated = agreed_shifts(own, pairs)
-        alike = (by_parts == shifts).all()
-        assert alike or max(stated, evidence) < CLEAR  # a view that is not clear stays as it is
-        assert not alike or stated > evidence - 1e-9
-
-
-@pytest.mark.parametrize(("cameras", "n"), [(16, 2), (30, 4)])
-def test_the_boards_of_many_cameras_are_turned_too(cameras: int, n: int):
-    true, own, pairs = votes(np.random.default_rng(0), cameras, n)
-    shifts, evidence = agreed_shifts(own, pairs)
-    assert len(set((shifts - true) % n)) == 1
-    assert evidence > 10
+    with pytest.raises(VergenceError, match="settle from which end the board is numbered"):
+        without_unclear(views, found)

@@ -9,17 +9,16 @@ import pytest
 
 import vergence.calibration.bundle_start as bundle_start
 import vergence.calibration.calibrate as calibrate_module
-import vergence.calibration.checked_views as checked_views
-import vergence.calibration.checks.cross_validation as cross_validation
+import vergence.calibration.cross_validation as cross_validation
 import vergence.calibration.initial as initial
-import vergence.calibration.validation as validation
+import vergence.calibration.prepared_views as prepared_views
 from recordings import JOINTS, description, picture, write_dataset
 from simulated_head import plain_head, random_head
 from simulated_recording import BOARD, EXACT, POINTS, Noise, Recording, record
 from texts import texts
 from vergence.arrays import Array
+from vergence.calibration.board_numbering import turn_boards
 from vergence.calibration.calibrate import CalibrationResult, Method, calibrate
-from vergence.calibration.checks.board_flips import turn_boards
 from vergence.calibration.detection import SYSTEMATIC_PX
 from vergence.calibration.observations import Observations
 from vergence.calibration.summary import summary_lines, verdict
@@ -106,9 +105,11 @@ def test_the_board_s_pose_is_found_once_in_each_image(recorded, method: Method, 
             solved.update(image.tobytes() for image in corners if np.isfinite(image).any())
         return board_poses(camera, corners, points)  # type: ignore[arg-type]
 
-    for module in (checked_views, cross_validation, bundle_start, initial):
+    for module in (prepared_views, cross_validation, bundle_start, initial):
         monkeypatch.setattr(module, "board_poses", counted)
-    monkeypatch.setattr(validation, "calibrate_folds", lambda *_: ended.append(True) or _nothing())
+    monkeypatch.setattr(
+        cross_validation, "calibrate_folds", lambda *_: ended.append(True) or _nothing()
+    )
     calibrate(recorded[1], method=method)
     images = sum(np.isfinite(c).any(axis=(1, 2)).sum() for c in recorded[1].corners.values())
     assert ended
@@ -123,7 +124,7 @@ def _nothing() -> None:
 @pytest.mark.usefixtures("two_folds")
 def test_a_calibration_that_predicts_held_out_points_far_too_badly_is_void(recorded, monkeypatch):
     wrong = HeldOut(5, 30, 0.1, 30, point_mm=12.0, expected_mm=2.0, distance_m=0.5)
-    monkeypatch.setattr(validation, "held_out", lambda *_: wrong)
+    monkeypatch.setattr(cross_validation, "held_out", lambda *_: wrong)
     found = calibrate(recorded[1], lens="radial-tangential")
     assert found.summary().startswith("VOID")
     assert "6.0 times as wrong as the noise explains" in texts(found.findings, "void")[0]
@@ -156,7 +157,7 @@ def test_the_noise_of_readings_is_said_of_each_kind(found):
 @pytest.mark.parametrize("ratio", [3.0, 11.0])
 def test_parts_of_the_views_that_differ_are_doubted_or_void(recorded, monkeypatch, ratio):
     differing = HeldOut(12, 12, 0.1, 0, None, None, None, jackknife_ratio=ratio)
-    monkeypatch.setattr(validation, "held_out", lambda *_: differing)
+    monkeypatch.setattr(cross_validation, "held_out", lambda *_: differing)
     found = calibrate(recorded[1], lens="radial-tangential")
     (said,) = (each for each in texts(found.findings) if f"differ {ratio} times as much" in each)
     assert (said in texts(found.findings, "void")) == (ratio > 10)
@@ -165,10 +166,12 @@ def test_parts_of_the_views_that_differ_are_doubted_or_void(recorded, monkeypatc
 @pytest.mark.usefixtures("two_folds")
 def test_boards_numbered_from_the_wrong_end_are_renumbered_and_named(recorded, found, monkeypatch):
     observed = recorded[1]
-    monkeypatch.setattr(validation, "held_out", lambda *_: _nothing())
+    monkeypatch.setattr(cross_validation, "held_out", lambda *_: _nothing())
     turns = {"left_wide": np.isin(np.arange(36), [3, 20]).astype(int)}
     again = calibrate(turn_boards(observed, turns))
-    remark = "Numbered from the wrong end, and turned: views 3, 20 of left_wide."
+    remark = (
+        "The board is numbered from the wrong end, and was turned, in view 3, view 20 of left_wide."
+    )
     assert texts(again.findings, "note")[0] == remark
     for name, corners in observed.corners.items():
         np.testing.assert_array_equal(again.observations.corners[name], corners)
@@ -222,7 +225,7 @@ def own_detector(dataset: Dataset) -> Observations:
 
 @pytest.mark.slow
 def test_a_detector_of_one_s_own_gives_the_same_as_a_dataset(dataset: Dataset, monkeypatch):
-    monkeypatch.setattr(validation, "calibrate_folds", lambda *_: _nothing())
+    monkeypatch.setattr(cross_validation, "calibrate_folds", lambda *_: _nothing())
     lens = "radial-tangential"
     ours, theirs = calibrate(dataset, lens=lens), calibrate(own_detector(dataset), lens=lens)
     assert max(map(abs, boxminus(ours.head, theirs.head).values())) < 1e-9

@@ -12,7 +12,7 @@ from test_parameters import stated
 from texts import texts
 from vergence.arrays import Array
 from vergence.calibration.calibrate import calibrate
-from vergence.calibration.checks.cross_validation import (
+from vergence.calibration.cross_validation import (
     PartCalibration,
     calibrate_folds,
     folds,

@@ -15,7 +15,7 @@ from simulated_head import as_designed, random_head
 from simulated_recording import BOARD, POINTS, Noise, Recording, as_poses, facing, observe, record
 from test_sequential import only, some_cameras
 from texts import texts
-from vergence.calibration import validation
+from vergence.calibration import cross_validation
 from vergence.calibration.bundle_adjustment import BundleEstimate, bundle_adjust
 from vergence.calibration.calibrate import CalibrationResult, calibrate
 from vergence.calibration.observations import Observations
@@ -46,7 +46,7 @@ def no_held_out_error(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> None:
         raise VergenceError("no held-out error here.")
 
-    monkeypatch.setattr(validation, "calibrate_folds", refuse)
+    monkeypatch.setattr(cross_validation, "calibrate_folds", refuse)
 
 
 @pytest.fixture

@@ -10,10 +10,10 @@ from simulated_head import random_head
 from simulated_recording import Noise, Recording, record
 from texts import texts
 from vergence.calibration.calibrate import calibrate
-from vergence.calibration.checks.stray_corners import without_outliers, without_strays
 from vergence.calibration.intrinsics import calibrate_intrinsics
 from vergence.calibration.lens_choice import choose_lenses
 from vergence.calibration.observations import Observations
+from vergence.calibration.outliers import without_outliers, without_strays
 from vergence.geometry.camera import pinhole
 
 SHARE = 0.02

@@ -15,7 +15,6 @@ from simulated_recording import (
     moving_recording,
     still_recording,
 )
-from texts import texts
 from vergence.arrays import Array
 from vergence.calibration.bundle_adjustment import BundleEstimate, bundle_adjust
 from vergence.calibration.initial import calibrate_sequentially
@@ -122,7 +121,7 @@ def test_offsets_are_found_to_half_a_millisecond_and_gains_to_a_thousandth(offse
     assert max(abs(error[name]) for name in GAINS) < 1e-3
     assert all(abs(error[name]) < 4 * stated[name] for name in ("time_offset_s", *GAINS))
     # Nor are the readings at the ends of the motion held against a course through readings.
-    assert not any("lost its weight" in said for said in texts(found.findings))
+    assert not any("lost its weight" in said for said in found.warnings)
 
 
 def turning(t: Array) -> Array:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from simulated_recording import BOARD
-from vergence.calibration.checks.board_flips import Renumbered
+from vergence.calibration.board_numbering import Renumbered, turn_boards
 from vergence.calibration.observations import Observations
 from vergence.geometry.board import Chessboard
 from vergence.geometry.head import HeadCalibration
@@ -73,3 +73,10 @@ def count(views: Observations, injected: dict[str, np.ndarray], found: Renumbere
             was, is_now = (t[here] != np.bincount(t[here]).argmax() for t in (before, after))
             total += [was.sum(), (is_now & was).sum(), (is_now & ~was).sum()]
     return Count(*(int(number) for number in (seen.sum(), *total, unclear[seen].sum())))
+
+
+def turned_at_random(views: Observations, rng: np.random.Generator) -> Observations:
+    """Turn up to a third of the boards, those of each camera by themselves."""
+    V, n = len(views.placement), 4 if views.board.columns == views.board.rows else 2
+    turns = {name: flips(V, rng.uniform(1 / V, 1 / 3), n, rng) for name in views.corners}
+    return turn_boards(views, turns)

@@ -9,24 +9,25 @@ from typing import get_args
 
 import numpy as np
 
+<<<<<<< HEAD
 from vergence.arrays import single_blas_thread
+=======
+from vergence.calibration import board_shape, excitation, plausibility
+>>>>>>> dac77a8 (Find what users mistake by one table of hypotheses and one score of the turns between views)
 from vergence.calibration.bundle_adjustment import BundleEstimate, bundle_adjust
-from vergence.calibration.checked_views import CheckedViews, Method, checked_views
-from vergence.calibration.checks import axes_and_eyes, board_flips, board_shape, excitation
-from vergence.calibration.checks.cross_validation import PartCalibration
-from vergence.calibration.checks.exchanged_readings import exchanged_readings
-from vergence.calibration.checks.part_calibration import (
+from vergence.calibration.cross_validation import (
     bundle_of_part,
-    placed_boards,
+    cross_validate,
+    paper_of_part,
     predicting_better,
 )
-from vergence.calibration.checks.stray_corners import without_outliers, without_strays
 from vergence.calibration.detection import detect_target
 from vergence.calibration.initial import SequentialCalibration, calibrate_sequentially
 from vergence.calibration.lens_choice import LensChoice, LensOption
 from vergence.calibration.observations import Observations
+from vergence.calibration.outliers import without_outliers
+from vergence.calibration.prepared_views import Method, PreparedViews, prepare
 from vergence.calibration.summary import summary_lines
-from vergence.calibration.validation import cross_validated
 from vergence.data.dataset import Dataset
 from vergence.errors import VergenceError
 from vergence.findings import Finding, by_severity
@@ -37,7 +38,7 @@ from vergence.progress import Progress, silent
 
 @dataclass(frozen=True, eq=False)
 class CalibrationResult:
-    """A calibrated head, and all that is known of how good it is."""
+    """A calibrated head, and everything that is known about its quality."""
 
     head: HeadCalibration
     """With its accuracy and the findings."""
@@ -62,7 +63,7 @@ class CalibrationResult:
         return self.accuracy.findings
 
     def summary(self) -> str:
-        """Return at most ten lines: good or not, how good, what to do next."""
+        """Write at most ten lines: good or not, how good, what to do next."""
         return "\n".join(summary_lines(self.head, self.observations))
 
 
@@ -77,7 +78,7 @@ def calibrate(
     """Calibrate a head, and predict each fold of its views from the others.
 
     Args:
-        data: a dataset, in whose images the board is then sought; or the observations of one's own
+        data: a dataset, in whose images the board is then detected; or the observations of another
             detector.
         method: the paper's steps alone, or bundle adjustment, which starts from them.
         lens: lens model of all cameras, or by camera; "auto": selected for each by how well it fits
@@ -87,45 +88,42 @@ def calibrate(
 
     Raises:
         VergenceError: the data are too poor for any answer, or contradict themselves; or an
-            argument is none of these.
+            argument is not one of these.
     """
-    data = without_strays(_observed(data, method, progress))
+    observations = _observe(data, method, progress)
     progress("calibrating", 0, 3)
-    views = checked_views(data, method, lens)
-    observations, T_cam_target = views.observations, views.T_cam_target
-    seen, T_rest = views.at_rest
-    start = calibrate_sequentially(seen, intrinsics=views.intrinsics, T_cam_target=T_rest)
+    views = prepare(observations, method, lens)
+    observations, at_rest = views.observations, views.at_rest
+    start = calibrate_sequentially(at_rest[0], intrinsics=views.intrinsics, T_cam_target=at_rest[1])
     progress("calibrating", 1, 3)
-    estimate, preferred = None, ()
+    estimate, findings = None, list(observations.findings)
+    of_part, to_predict = partial(paper_of_part, views), observations
     if method == "bundle":
-        estimate = bundle_adjust(start.head, observations, T_cam_target=T_cam_target)
-        estimate, preferred = predicting_better(start.head, observations, T_cam_target, estimate)
+        estimate = bundle_adjust(start.head, observations, T_cam_target=views.T_cam_target)
+        estimate, preferred = predicting_better(start.head, views, estimate)
+        findings += preferred
+        of_part = partial(bundle_of_part, estimate, views)
+        if estimate.camera_std_px:  # the estimate did not follow the outliers either
+            levels = estimate.residuals_px, estimate.camera_std_px
+            to_predict = without_outliers(observations, *levels)
     progress("calibrating", 2, 3)
     found = start if estimate is None else estimate
-    whole = replace(found.head, accuracy=found.accuracy)
-    validated = cross_validated(
-        _to_be_predicted(observations, estimate), whole, partial(_calibrate_part, views, estimate)
-    )
+    head = replace(found.head, accuracy=found.accuracy)
+    held_out, validated = cross_validate(to_predict, head, of_part)
     progress("calibrating", 3, 3)
-    findings = [*observations.findings, *views.pose_findings]
-    findings += [*board_flips.findings(views.renumbered), *preferred]
-    if estimate is not None:
-        findings += exchanged_readings(observations, found.head, estimate.T_base_eye)
-        if not observations.at_rest.all():
-            findings += board_shape.stretched_in_motion(*views.at_rest, views.intrinsics)
-    findings += [*_about_result(views, found), *validated.findings]
+    findings += [*_about(views, head), *found.accuracy.findings, *validated]
     accuracy = replace(
         found.accuracy,
         eye_motion="pan-tilt" if observations.T_base_eye is None else "poses",
-        held_out=validated.held_out,
-        findings=by_severity((*findings, *_impossible_geometry(views, found))),
+        held_out=held_out,
+        findings=by_severity(findings),
     )
-    head = replace(found.head, accuracy=accuracy)
+    head = replace(head, accuracy=accuracy)
     return CalibrationResult(head, observations, start, estimate, views.lenses)
 
 
-def _observed(data: Dataset | Observations, method: Method, progress: Progress) -> Observations:
-    """Return the observations, sought in the images of a dataset; errors are those of calibrate."""
+def _observe(data: Dataset | Observations, method: Method, progress: Progress) -> Observations:
+    """Detect the board in a dataset; VergenceError for arguments of another kind."""
     if not isinstance(data, (Dataset, Observations)):
         raise VergenceError(
             "calibrate takes a dataset, as of vg.load_dataset(folder), or observations; found "
@@ -143,58 +141,21 @@ def _observed(data: Dataset | Observations, method: Method, progress: Progress) 
     return detect_target(data, progress=progress)
 
 
-def _to_be_predicted(observations: Observations, estimate: BundleEstimate | None) -> Observations:
-    """Return the observations without outliers, which the estimate did not follow either."""
-    if estimate is None or not estimate.camera_std_px:
-        return observations
-    return without_outliers(observations, estimate.residuals_px, estimate.camera_std_px)
-
-
-def _calibrate_part(
-    views: CheckedViews, estimate: BundleEstimate | None, rows: np.ndarray
-) -> PartCalibration:
-    """Return the calibration from some of the views (V,) by the same method; None: the paper's."""
-    if estimate is not None:
-        return bundle_of_part(estimate, views.observations, views.T_cam_target, rows)
-    part, T_part = views.take(rows)
-    head = calibrate_sequentially(part.take(part.at_rest), lenses=views.models).head
-    return PartCalibration(head, placed_boards(head, part, T_part), 1.0)
-
-
-def _impossible_geometry(
-    views: CheckedViews, found: SequentialCalibration | BundleEstimate
-) -> list[Finding]:
-    """Return findings on axes and eyes that the calibration puts where none can be.
-
-    Bases of measured poses may stand anywhere, as those of two arms do.
-    """
-    if views.observations.T_base_eye is not None:
-        return []
-    return axes_and_eyes.impossible_geometry(found.head, _stds(found))
-
-
-def _about_result(
-    views: CheckedViews, found: SequentialCalibration | BundleEstimate
-) -> tuple[Finding, ...]:
-    """Return what the data could not determine, and what is odd in the result."""
-    observations, head = views.observations, found.head
-    odd_baseline = []
-    if observations.T_base_eye is None:
-        odd_baseline = axes_and_eyes.odd_baseline(head)
+def _about(views: PreparedViews, head: HeadCalibration) -> list[Finding]:
+    """Judge the result by what a head can be, and the boards by what they determine."""
+    accuracy = head.accuracy
+    assert accuracy is not None
+    stds = np.sqrt(np.diag(accuracy.covariance)).tolist()
+    std = dict(zip(accuracy.parameters, stds, strict=True))
     focal_std = {name: each.focal_std_px for name, each in views.intrinsics.items()}
-    if isinstance(found, BundleEstimate):
-        std = _stds(found)
+    if std:
         focal_std = {name: (std[f"{name}.fx"], std[f"{name}.fy"]) for name in head.cameras}
-    return (
-        *odd_baseline,
-        *board_shape.stretched_board(*views.at_rest, views.intrinsics),
-        *excitation.doubtful_focal_lengths(observations, views.T_cam_target, head, focal_std),
-        *found.accuracy.findings,
-    )
-
-
-def _stds(found: SequentialCalibration | BundleEstimate) -> dict[str, float]:
-    """Return the stated standard deviations by parameter; the paper's method states none."""
-    if not isinstance(found, BundleEstimate):
-        return {}
-    return dict(zip(found.parameters, np.sqrt(np.diag(found.covariance)).tolist(), strict=True))
+    # Bases of measured poses may stand anywhere, as those of two arms do.
+    poses = views.observations.T_base_eye is not None
+    return [
+        *([] if poses else plausibility.implausible_geometry(head)),
+        *board_shape.stretched_board(
+            *views.at_rest, views.intrinsics, moving=not views.all_at_rest
+        ),
+        *excitation.doubtful_focal_lengths(views.observations, views.T_cam_target, head, focal_std),
+    ]

@@ -116,6 +116,7 @@ def detect_target(dataset: Dataset, *, progress: Progress = silent) -> Observati
         kinematics=dataset.description.head_kinematics,
         timing=timing,
         T_base_eye=dataset.T_base_eye,
+        lines=np.asarray(dataset.lines),
         systematic_px=SYSTEMATIC_PX,
         findings=tuple(findings),
     )

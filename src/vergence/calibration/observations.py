@@ -56,6 +56,8 @@ class Observations:
     systematic_px: float = 0.0
     """Smooth errors over the image [px] that the corners of all images of a camera are assumed to
     share at least: what is known of how they were found."""
+    lines: np.ndarray | None = None
+    """(V,) lines of frames.csv; None: views have no lines."""
     findings: tuple[Finding, ...] = ()
     """Notes on what looks unusual in the data, on what was repaired, and on images without corners.
     """
@@ -135,7 +137,12 @@ class Observations:
             corners={name: corners[rows] for name, corners in self.corners.items()},
             timing=None if self.timing is None else self.timing.take(rows),
             T_base_eye=None if self.T_base_eye is None else self.T_base_eye[rows],
+            lines=None if self.lines is None else self.lines[rows],
         )
+
+    def name_of_view(self, row: int) -> str:
+        """Name a view by its line of frames.csv, or by its number."""
+        return f"view {row}" if self.lines is None else f"line {self.lines[row]}"
 
     def eye_poses(self, head: HeadCalibration | None = None) -> Array:
         """Return the poses (V, 2, 4, 4) of the left and the right eye in their bases, as read.

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from vergence.calibration.checks.axes_and_eyes import eye_shift
+from vergence.calibration.cross_validation import MISFIT_CAUSES
 from vergence.calibration.observations import NO_CORNERS, Observations
+from vergence.calibration.plausibility import eye_shift
 from vergence.errors import counted, listed
 from vergence.findings import select
 from vergence.geometry.head import (
@@ -27,8 +28,6 @@ the ten views or more of a usual fold set it stays below by far."""
 LARGEST_EXPECTED = 0.1
 """Error that noise explains, relative to the distance, from which held-out points check nothing:
 hardly any calibration would contradict it."""
-MISFIT_CAUSES = "look for backlash, a board that moved or bends, and time stamps of moving eyes"
-"""What is to be done about such an error."""
 PART = 1 / 3
 """Largest error that a calibration may add, relative to that of a reading's noise: the two together
 are then a twentieth larger than the noise alone."""

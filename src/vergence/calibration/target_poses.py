@@ -23,9 +23,9 @@ from vergence.calibration.bundle_adjustment import (
     fixed_by_default,
 )
 from vergence.calibration.bundle_start import PoseObservations
-from vergence.calibration.checks import axes_and_eyes
 from vergence.calibration.hand_eye import robust_park_martin
 from vergence.calibration.observations import base_by_boards, mean_placed, most_seen
+from vergence.calibration.plausibility import implausible_geometry
 from vergence.errors import VergenceError, counted
 from vergence.findings import Finding, by_severity
 from vergence.geometry.camera import pinhole
@@ -215,10 +215,7 @@ def _whitening(covariance: Mapping[str, Array], name: str, T_cam_target: Array) 
 def _result(
     found: BundleEstimate, pose_std: tuple[float, float] | None, factor: float
 ) -> TargetPoseEstimate:
-    stds = np.sqrt(np.diag(found.covariance)).tolist()
-    impossible = axes_and_eyes.impossible_geometry(
-        found.head, dict(zip(found.parameters, stds, strict=True))
-    )
+    geometry = implausible_geometry(found.head)
     return TargetPoseEstimate(
         head=found.head,
         parameters=found.parameters,
@@ -232,7 +229,7 @@ def _result(
             name: each / (found.pixel_std_px if pose_std else 1.0)
             for name, each in found.residuals_px.items()
         },
-        findings=by_severity((*found.findings, *impossible)),
+        findings=by_severity((*found.findings, *geometry)),
     )
 
 

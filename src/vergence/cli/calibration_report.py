@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from vergence.calibration.calibrate import CalibrationResult
-from vergence.calibration.checks.lens_map import lens_maps
+from vergence.calibration.lens_map import lens_maps
 from vergence.calibration.observations import NO_CORNERS
 from vergence.calibration.summary import point_accuracy, verdict
 from vergence.cli.report import Part, Report, Table

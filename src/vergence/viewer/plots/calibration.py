@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from vergence.arrays import Array
-from vergence.calibration.checks.lens_map import LensMap
+from vergence.calibration.lens_map import LensMap
 from vergence.errors import counted
 from vergence.viewer.plots.canvas import BLUE, GREEN, RED, image_frame, label, panels, save
 

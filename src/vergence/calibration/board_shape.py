@@ -61,45 +61,30 @@ def stretched_board(
     observations: Observations,
     T_cam_target: Mapping[str, Array],
     intrinsics: Mapping[str, Intrinsics],
-) -> tuple[Finding, ...]:
-    """Return a warning if the board's squares are not square; the arguments are stretch's."""
+    *,
+    moving: bool,
+) -> list[Finding]:
+    """Find squares that are not square; the arguments are stretch's.
+
+    With rows of moving eyes, whose images share the error, the result must not be used.
+    """
     value, std = stretch(observations, T_cam_target, intrinsics)
     if not abs(value) > max(SURE * std, LEAST_STRETCH):
-        return ()
+        return []
     board = observations.board
     height_m = (1 + value) * (board.square_y_m or board.square_m)
     sentence = (
-        f"The squares of the board are {100 * abs(value):.2f} % {_size(value)} than wide by the "
-        f"images (one standard deviation: {100 * std:.2f} %), which makes focal lengths wrong by "
-        "as much: measure the board along its rows and its columns, state both sides in "
-        f"dataset.json (by the images board.square_y_m is {height_m:.6g} if board.square_m is "
-        "right), and check that it is flat."
+        f"The squares of the board are {100 * abs(value):.2f} % "
+        f"{'higher' if value > 0 else 'lower'} than wide by the images (one standard deviation: "
+        f"{100 * std:.2f} %), which makes focal lengths wrong by as much: measure the board along "
+        "its rows and its columns, state both sides in dataset.json (by the images "
+        f"board.square_y_m is {height_m:.6g} if board.square_m is right), and check that it is "
+        "flat."
     )
-    return (warning("stretched-board", sentence),)
-
-
-def stretched_in_motion(
-    observations: Observations,
-    T_cam_target: Mapping[str, Array],
-    intrinsics: Mapping[str, Intrinsics],
-) -> tuple[Finding, ...]:
-    """Return a finding if rows of moving eyes were used with a board that is stretched too far.
-
-    The arguments are stretch's, of the rows at rest.
-    """
-    value, std = stretch(observations, T_cam_target, intrinsics)
-    if not abs(value) > max(SURE * std, LEAST_STRETCH_IN_MOTION):
-        return ()
-    sentence = (
-        f"The squares of the board are {100 * abs(value):.2f} % {_size(value)} than wide by the "
-        "images, with which rows of moving eyes make gains and axes wrong: state both sides of the "
-        "squares, or calibrate without these rows."
-    )
-    return (void("stretched-board-in-motion", sentence),)
-
-
-def _size(value: float) -> str:
-    return "higher" if value > 0 else "lower"
+    if moving and abs(value) > LEAST_STRETCH_IN_MOTION:
+        sentence += " With rows of moving eyes it makes gains and axes wrong; leave them out."
+        return [void("stretched-board-in-motion", sentence)]
+    return [warning("stretched-board", sentence)]
 
 
 def _stretch_of_camera(

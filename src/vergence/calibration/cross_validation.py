@@ -7,21 +7,26 @@ are pixels and points, and do the calibrations differ from each other as much as
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.observations import Observations
+from vergence.calibration.bundle_adjustment import BundleEstimate, NoiseModel, bundle_adjust
+from vergence.calibration.initial import calibrate_sequentially
+from vergence.calibration.observations import Observations, camera_eyes
+from vergence.calibration.prepared_views import PreparedViews
 from vergence.errors import VergenceError
+from vergence.findings import Finding, note, void, warning
 from vergence.geometry.board import corner_points
 from vergence.geometry.camera import project
 from vergence.geometry.head import HeadCalibration, main_pair, states_covariance
 from vergence.geometry.head_accuracy import HeldOut
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.parameters import boxminus
-from vergence.geometry.projection import project_at
-from vergence.geometry.se3 import inverse, transform
+from vergence.geometry.projection import T_lbase_cam, project_at
+from vergence.geometry.se3 import inverse, known_poses, mean_pose, transform
 from vergence.stereo.extrinsics import T_rcam_lcam
 from vergence.stereo.triangulation import triangulate_at
 from vergence.stereo.uncertainty import combination
@@ -31,6 +36,20 @@ FOLDS = 5
 """Parts of the views, each predicted from the others."""
 EACH_BELOW = 20
 """With fewer views each is left out by itself: a fifth of them would be missed too much."""
+
+
+BEYOND_CHANCE = 2.0
+"""Standard errors by which a prediction must be better to be preferred."""
+BOARD_SIZE = 0.001
+"""Relative error of the board's size from which it is reported."""
+LARGEST_JACKKNIFE_RATIO = 2.0
+"""Ratio of standard deviations from which the stated ones are called too small; the folds determine
+it to about a tenth."""
+VOID_RATIO = 10.0
+"""Ratio of standard deviations from which parts of the views contradict each other."""
+VOID_MISFIT = 5.0
+"""Held-out error relative to that which noise explains, from which the result must not be used."""
+MISFIT_CAUSES = "look for backlash, a board that moved or bends, and time stamps of moving eyes"
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,3 +259,129 @@ def _located(
             expected.append(np.sqrt([np.trace(covariance)]))
     off, away = ([each[row, usable[row]] for row in rows] for each in (errors, distances))
     return off, expected, away
+
+
+def cross_validate(
+    observations: Observations,
+    head: HeadCalibration,
+    of_part: Callable[[np.ndarray], PartCalibration],
+) -> tuple[HeldOut | None, list[Finding]]:
+    """Predict each fold of the views from a calibration by the others, of `of_part`.
+
+    Returns the errors, and what they show of the calibration `head` from all views.
+    """
+    try:
+        found = held_out(observations, calibrate_folds(observations, of_part), head)
+    except VergenceError as error:
+        sentence = f"There is no held-out error: {error}"
+        return None, [warning("no-held-out-error", sentence)]
+    if not found.transfer_views and len(set(camera_eyes(observations).values())) > 1:
+        sentence = "There is no held-out error of points: no view shows the board to both eyes."
+        return found, [warning("no-held-out-points", sentence)]
+    findings, ratio = [], found.jackknife_ratio or 0.0
+    differ = f"Calibrations from parts of the views differ {ratio:.1f} times as much as stated"
+    if ratio > VOID_RATIO:
+        sentence = f"{differ}: they contradict each other; look for views with wrong readings."
+        findings.append(void("views-contradict", sentence))
+    elif ratio > LARGEST_JACKKNIFE_RATIO:
+        sentence = (
+            f"{differ}: true errors are larger than the stated ones by as much at least; look for "
+            "errors that corners share (a board that bends, blur)."
+        )
+        findings.append(warning("stated-too-small", sentence))
+    if found.point_mm is not None and found.expected_mm is not None:
+        misfit = found.point_mm / found.expected_mm
+        if misfit >= VOID_MISFIT:
+            sentence = (
+                f"Held-out points are {misfit:.1f} times as wrong as the noise explains; "
+                f"{MISFIT_CAUSES}."
+            )
+            findings.append(void("held-out-misfit", sentence))
+    return found, findings
+
+
+def predicting_better(
+    start: HeadCalibration, views: PreparedViews, estimate: BundleEstimate
+) -> tuple[BundleEstimate, tuple[Finding, ...]]:
+    """Return the estimate that predicts unseen views better, and notes on it.
+
+    Errors of measured eye poses need not be independent and of one size, as an estimate of their
+    noise assumes; where poses that are taken as exact predict better, beyond chance, they are.
+    """
+    observations = views.observations
+    if observations.T_base_eye is None:
+        return estimate, ()
+    said = []
+    change = estimate.board_scale - 1
+    if abs(change) > BOARD_SIZE:
+        square_mm = 1e3 * observations.board.square_m
+        sentence = (
+            f"By the eye poses a square of the board measures {square_mm * (1 + change):.3f} mm, "
+            f"not {square_mm:.3f} mm ({100 * change:+.2f} %): measure it; lengths are those of the "
+            "poses."
+        )
+        said.append(note("board-size", sentence))
+    exact = bundle_adjust(
+        start, observations, T_cam_target=views.T_cam_target, noise=NoiseModel(joint_std=0.0)
+    )
+    try:
+        found = []
+        for each in (estimate, exact):
+            of_part = partial(bundle_of_part, each, views)
+            parts = calibrate_folds(observations, of_part)
+            found.append(predicted_squares(observations, parts))
+        squares, counts = np.moveaxis(np.array(found), 2, 0)
+    except VergenceError:
+        return estimate, tuple(said)  # too few views: there is no held-out error at all
+    gain = squares[0] - squares[1]
+    rms = np.sqrt(squares.sum(axis=1) / np.maximum(counts.sum(axis=1), 1))
+    if gain.sum() <= BEYOND_CHANCE * np.sqrt((gain**2).sum()):
+        return estimate, tuple(said)
+    sentence = (
+        f"Eye poses are taken as exact: they then predict unseen views to {rms[1]:.2f} px, and to "
+        f"{rms[0]:.2f} px if their noise is estimated."
+    )
+    said.append(note("exact-poses", sentence))
+    return exact, tuple(said)
+
+
+def bundle_of_part(
+    estimate: BundleEstimate, views: PreparedViews, rows: np.ndarray
+) -> PartCalibration:
+    """Return the calibration from a part of the views (V,), at the noise that all of them show."""
+    (part, T_part), levels = views.take(rows), estimate.joint_std
+    found = bundle_adjust(
+        estimate.head,
+        part,
+        T_cam_target=T_part,
+        noise=NoiseModel(estimate.pixel_std_px, levels),
+    )
+    head = replace(found.head, accuracy=replace(found.accuracy, joint_std=levels))
+    return PartCalibration(head, found.T_lbase_target, found.board_scale)
+
+
+def placed_boards(
+    head: HeadCalibration, seen: Observations, T_cam_target: Mapping[str, Array]
+) -> dict[int, Array]:
+    """Return where the board of each placement stands, by the cameras that see it."""
+    eye_poses, found = seen.eye_poses(head), {}
+    for number in np.unique(seen.placement):
+        rows = seen.placement == number
+        views = [
+            T_lbase_cam(m, head.T_rbase_lbase, eye_poses[rows, EYES.index(m.eye)])
+            @ T_cam_target[name][rows]
+            for name, m in head.cameras.items()
+            if name in T_cam_target
+        ]
+        T = np.concatenate(views)
+        T = T[known_poses(T)]
+        if len(T):
+            found[int(number)] = mean_pose(T)
+    return found
+
+
+def paper_of_part(views: PreparedViews, rows: np.ndarray) -> PartCalibration:
+    """Calibrate a part of the views (V,) by the paper's steps."""
+    part, T_part = views.take(rows)
+    head = calibrate_sequentially(part.take(part.at_rest), lenses=views.models).head
+    return PartCalibration(head, placed_boards(head, part, T_part), 1.0)

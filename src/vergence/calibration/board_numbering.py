@@ -1,0 +1,381 @@
+"""Number all boards of a placement from the same end.
+
+A chessboard whose ends look alike may be numbered from either end: half of the images then show it
+turned by half a turn about its normal (a square one by a quarter). One image does not show which,
+but a wrong turn is far more than any eye moves unseen: within a camera, turns between views of a
+board at rest are those of the readings; between cameras, one rotation relates all their views. Only
+rotations are used. A turn that all images of a placement share changes the board's pose alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.calibration.observations import Observations, camera_eyes, most_seen
+from vergence.errors import VergenceError
+from vergence.findings import Finding, note, warning
+from vergence.geometry.board import Board, Charuco, corner_points
+from vergence.geometry.kinematics import EYES
+from vergence.geometry.se3 import known_poses, nearest_rotation, pose, rotation, rotvec
+
+SPREAD_RAD = 0.05
+"""Angle between views that are numbered alike: gains of a few percent, joint noise of half a degree
+and preliminary lenses stay below."""
+CAP = 50.0
+"""Largest cost of one comparison [nats]: ten times the spread."""
+PRIOR = float(np.log(2.0))
+"""Cost of turning a board [nats]: at most a third of them are turned."""
+CLEAR = 10.0
+"""Evidence below which a turn is not settled [nats]."""
+MOST_TURNED_RAD = np.radians(30.0)
+"""Between the bases of two eyes, or of an eye as two of its cameras show it; as built they are
+parallel."""
+LEAST_SPREAD_RAD = 0.02
+"""Minimum root mean square turn about the second axis that places a camera in its eye."""
+MOST_OFFERS = 100
+"""Number of views that propose a solution; more propose nothing new."""
+EXACT_RAD = np.radians(0.1)
+"""Misfit below which the L1 fit weighs all turns alike."""
+MOST_PAIRED = 20
+"""Views with which each view is paired; more make the median no better."""
+
+
+@dataclass(frozen=True, eq=False)
+class Renumbered:
+    """Observations in which all boards of a placement are numbered from the same end."""
+
+    observations: Observations
+    T_cam_target: Mapping[str, Array]
+    """By camera: (V, 4, 4) poses of the board as it is numbered now."""
+    turns: Mapping[str, np.ndarray]
+    """By camera: (V,) how often a board was turned: by pi, or by pi / 2 where it is square."""
+    unclear: Mapping[str, np.ndarray]
+    """By camera: (V,) of bool: images whose turn nothing settles; they were left as they are."""
+
+
+@dataclass(eq=False)
+class _Camera:
+    """What one camera saw in N views, and what is found out about it."""
+
+    e: int
+    view: np.ndarray
+    """(N,)."""
+    placement: np.ndarray
+    """(N,)."""
+    R_cam_target: Array
+    """(N, 3, 3)."""
+    R_base_eye: Array
+    """(N, 3, 3)."""
+    turns: np.ndarray
+    """(N,)."""
+    unclear: np.ndarray
+    """(N,) of bool."""
+    R_eye_cam: Array | None = None
+    """(3, 3); None: the eye moved too little before one board."""
+
+    def R_base_target(self, S: Array) -> Array:
+        """The boards (N, 3, 3) in the eye's base, as they are numbered now."""
+        assert self.R_eye_cam is not None
+        return self.R_base_eye @ self.R_eye_cam @ self.R_cam_target @ S[self.turns]
+
+
+def number_alike(observations: Observations, T_cam_target: Mapping[str, Array]) -> Renumbered:
+    """Number all boards of a placement alike; ChArUco boards come back as they are.
+
+    T_cam_target has by camera the poses (V, 4, 4) of the board by preliminary lenses, NaN where not
+    known. Cameras that it lacks are left as they are.
+    """
+    V, board = len(observations.placement), observations.board
+    turns = {name: np.zeros(V, dtype=int) for name in observations.corners}
+    unclear = {name: np.zeros(V, dtype=bool) for name in observations.corners}
+    if isinstance(board, Charuco):
+        return Renumbered(observations, T_cam_target, turns, unclear)
+    S, poses = symmetries(board), observations.eye_poses()
+    cameras = {}
+    for name, eye in camera_eyes(observations).items():
+        if name in T_cam_target:
+            e = EYES.index(eye)
+            cameras[name] = _by_readings(observations.placement, T_cam_target[name], poses, e, S)
+    parallel = observations.T_base_eye is None
+    _join(list(cameras.values()), S, MOST_TURNED_RAD if parallel else np.pi)
+    _turn_fewest(cameras, S)
+    for name, camera in cameras.items():
+        turns[name][camera.view], unclear[name][camera.view] = camera.turns, camera.unclear
+    for name in turns:
+        turns[name][unclear[name]] = 0
+    middle = corner_points(board).mean(axis=0)
+    T_turn = pose(S, middle - S @ middle)  # about the board's middle
+    return Renumbered(
+        turn_boards(observations, turns),
+        {name: T @ T_turn[turns[name]] for name, T in T_cam_target.items()},
+        turns,
+        unclear,
+    )
+
+
+def turn_boards(observations: Observations, turns: Mapping[str, np.ndarray]) -> Observations:
+    """Turn boards: by camera (V,) times pi, or pi / 2 if they are square."""
+    points = corner_points(observations.board)
+    away = points - points.mean(axis=0)
+    moved = away @ np.swapaxes(symmetries(observations.board), 1, 2)
+    # (n, K): which corner takes the place of each when the board is turned.
+    order = np.linalg.norm(moved[:, :, None] - away, axis=-1).argmin(axis=2)
+    corners = {
+        name: np.take_along_axis(observations.corners[name], order[each][..., None], axis=1)
+        for name, each in turns.items()
+    }
+    return replace(observations, corners={**observations.corners, **corners})
+
+
+def symmetries(board: Board) -> Array:
+    """Return the rotations (n, 3, 3) that put a board onto itself: n = 2, or 4 if it is square."""
+    n = 4 if board.columns == board.rows else 2
+    return rotation(2 * np.pi / n * np.arange(n)[:, None] * [0.0, 0.0, 1.0])
+
+
+def nearest_numbering(R_cam_target: Array, board: Board) -> Array:
+    """Turn boards at rest (N, 3, 3) so that they are nearest to each other; readings play no part.
+
+    It holds for motion below half the turn between two numberings.
+    """
+    S = symmetries(board)
+    if isinstance(board, Charuco) or len(R_cam_target) < 2:
+        return R_cam_target
+    off = _angles(np.einsum("iab,nbc,jac->ijn", R_cam_target, S, R_cam_target, optimize=True))
+    return R_cam_target @ S[_agreed(off * SPREAD_RAD)[0]]
+
+
+def fit_turns(R_base_eye: Array, R_cam_target: Array) -> tuple[Array, Array, float]:
+    """Fit R_eye_cam (3, 3) to the turns between N views of a board at rest, robustly (L1).
+
+    An eye turns by A, as read, and its camera by B, as the images show: A X = X B (Park and Martin
+    1994). Returns X with the median misfit (N,) of each view's turns to the others, and the median
+    turn [rad].
+    """
+    N = len(R_base_eye)
+    paired = np.unique(np.linspace(0, N - 1, MOST_PAIRED).astype(int))
+    a = rotvec(np.swapaxes(R_base_eye[paired], 1, 2)[:, None] @ R_base_eye)
+    b = rotvec(R_cam_target[paired][:, None] @ np.swapaxes(R_cam_target, 1, 2))
+    weights = np.ones(a.shape[:2])
+    R, off = np.eye(3), weights
+    for _ in range(6):
+        R = nearest_rotation(np.einsum("mn,mna,mnb->ab", weights, a, b))
+        off = np.linalg.norm(a - b @ R.T, axis=-1)
+        weights = 1 / np.maximum(off, EXACT_RAD)
+    off[np.arange(len(paired)), paired] = np.nan
+    return R, np.nanmedian(off, axis=0), float(np.median(np.linalg.norm(b, axis=-1)))
+
+
+def _by_readings(
+    placement: np.ndarray, T_cam_target: Array, T_base_eye: Array, e: int, S: Array
+) -> _Camera:
+    """Turn the boards of each placement so that one camera's views agree with the readings."""
+    view = np.flatnonzero(known_poses(T_cam_target) & known_poses(T_base_eye[:, e]))
+    R_cam, R_eye = T_cam_target[view, :3, :3], T_base_eye[view, e, :3, :3]
+    camera = _Camera(
+        e, view, placement[view], R_cam, R_eye, np.zeros(len(view), int), np.zeros(len(view), bool)
+    )
+    groups = [np.flatnonzero(camera.placement == p) for p in np.unique(camera.placement)]
+    groups = [group for group in groups if len(group) > 1]
+    for group in groups:
+        # A rotation's angle is the same in every frame: the mounting is not needed.
+        between = np.einsum("iab,nbc,jac->ijn", R_cam[group], S, R_cam[group], optimize=True)
+        read = np.einsum("iab,jab->ij", R_eye[group], R_eye[group])
+        off = np.abs(_angles(between) - _angles(read)[..., None])
+        camera.turns[group], evidence = _agreed(off)
+        camera.unclear[group] = evidence < CLEAR
+    chosen = most_seen(camera.placement, ~camera.unclear)
+    if len(chosen) < 3:
+        return camera
+    motion = rotvec(np.swapaxes(R_eye[chosen[:1]], 1, 2) @ R_eye[chosen])
+    spread = np.linalg.svd(motion - motion.mean(axis=0), compute_uv=False) / np.sqrt(len(chosen))
+    if spread[1] >= LEAST_SPREAD_RAD:
+        camera.R_eye_cam, *_ = fit_turns(R_eye[chosen], R_cam[chosen] @ S[camera.turns[chosen]])
+        # With the mounting not only angles can be compared, but rotations.
+        R = R_eye @ camera.R_eye_cam @ R_cam
+        for group in groups:
+            off = _angles(np.einsum("iab,nbc,jac->ijn", R[group], S, R[group], optimize=True))
+            turns, evidence = _agreed(off)
+            if (evidence >= CLEAR).sum() >= (~camera.unclear[group]).sum():
+                camera.turns[group], camera.unclear[group] = turns, evidence < CLEAR
+    return camera
+
+
+def _agreed(off: Array) -> tuple[np.ndarray, Array]:
+    """Return turns (N,) on which views agree, and the evidence (N,) [nats] for each.
+
+    `off` (N, N, n) is the angle between views i and j if i is turned by k more than j.
+    """
+    N, n = off.shape[0], off.shape[2]
+    cost = _cost(off)
+    cost[np.arange(N), np.arange(N)] = 0.0
+    relative, (i, j) = cost.argmin(axis=2), np.indices((N, N))
+
+    def total(turns: np.ndarray) -> float:
+        return float(cost[i, j, (turns[:, None] - turns) % n].sum())
+
+    def options(turns: np.ndarray) -> Array:
+        return np.stack([cost[i, j, (k - turns) % n].sum(axis=1) for k in range(n)], axis=1)
+
+    offers = np.unique(np.linspace(0, N - 1, MOST_OFFERS).astype(int))
+    turns = relative[:, min(offers, key=lambda r: total(relative[:, r]))]
+    for _ in range(10):
+        turns = options(turns).argmin(axis=1)
+    evidence = np.diff(np.sort(options(turns), axis=1)[:, :2], axis=1)[:, 0]
+    return (turns - np.bincount(turns, minlength=n).argmax()) % n, evidence
+
+
+def _join(cameras: list[_Camera], S: Array, most_turned_rad: float) -> None:
+    """Turn the boards of one camera after the other so that they agree with those before.
+
+    The first one's base is the frame in which boards are placed. Cameras that were placed in their
+    eye come first; the others then need only their own mounting.
+    """
+    placed: dict[int, Array] = {}
+    bases: dict[int, Array] = {}
+    waiting = sorted(
+        (camera for camera in cameras if len(camera.view)),
+        key=lambda camera: (camera.R_eye_cam is None, -len(camera.view)),
+    )
+    while waiting:
+        linked = [c for c in waiting if not placed or (_common(c, placed) and _placeable(c, bases))]
+        camera = linked[0] if linked else waiting[0]
+        waiting.remove(camera)
+        if camera.R_eye_cam is None and camera.e not in bases:
+            camera.unclear[:] = True
+            continue
+        mounted = camera.R_eye_cam is not None
+        R = camera.R_base_target(S) if mounted else camera.R_cam_target @ S[camera.turns]
+        common = np.flatnonzero(np.isin(camera.placement, list(placed)) & ~camera.unclear)
+        Y = np.eye(3)
+        if len(common):
+            A = np.array([placed[int(p)] for p in camera.placement[common]])
+            limit = most_turned_rad
+            if camera.e in bases:
+                A, limit = bases[camera.e].T @ A, MOST_TURNED_RAD
+            if not mounted:
+                A, limit = np.swapaxes(camera.R_base_eye[common], 1, 2) @ A, np.pi
+            numbers, group = np.unique(camera.placement[common], return_inverse=True)
+            Y, costs = _relative(A, R[common], group, S, limit)
+            evidence = np.diff(np.sort(costs, axis=1)[:, :2], axis=1)[:, 0]
+            for p, k, clear in zip(numbers, costs.argmin(axis=1), evidence >= CLEAR, strict=True):
+                here = camera.placement == p
+                camera.turns[here] = (camera.turns[here] + k) % len(S)
+                camera.unclear[here] |= not clear
+            R = camera.R_base_target(S) if mounted else camera.R_cam_target @ S[camera.turns]
+        if mounted:
+            bases.setdefault(camera.e, Y)
+            in_frame = bases[camera.e] @ R
+        elif len(common):
+            in_frame = bases[camera.e] @ camera.R_base_eye @ Y @ R
+        else:
+            camera.unclear[:] = True
+            continue
+        for p in np.unique(camera.placement[~camera.unclear]):
+            here = (camera.placement == p) & ~camera.unclear
+            placed.setdefault(int(p), nearest_rotation(in_frame[here].sum(axis=0)))
+
+
+def _turn_fewest(cameras: Mapping[str, _Camera], S: Array) -> None:
+    """Of the numberings that agree choose for each placement the one that turns fewest images.
+
+    Of several it is the one in which boards are held the same way up as in most images.
+    """
+    n = len(S)
+    for p in np.unique(np.concatenate([camera.placement for camera in cameras.values()])):
+        cost = np.zeros(n)
+        for camera in cameras.values():
+            here = camera.placement == p
+            up = camera.R_cam_target[:, :, 0].mean(axis=0)
+            for k in range(n):
+                turns = (camera.turns[here] + k) % n
+                x = (camera.R_cam_target[here] @ S[turns])[:, :, 0]
+                cost[k] += np.count_nonzero(turns) - (x @ up).sum() / 2 / len(camera.view)
+        for camera in cameras.values():
+            here = camera.placement == p
+            camera.turns[here] = (camera.turns[here] + int(cost.argmin())) % n
+
+
+def _common(camera: _Camera, placed: Mapping[int, Array]) -> bool:
+    return bool(np.isin(camera.placement, list(placed)).any())
+
+
+def _placeable(camera: _Camera, bases: Mapping[int, Array]) -> bool:
+    return camera.R_eye_cam is not None or camera.e in bases
+
+
+def _relative(
+    A: Array, B: Array, group: np.ndarray, S: Array, most_rad: float
+) -> tuple[Array, Array]:
+    """Find the rotation Y (3, 3) of A = Y B S^k, with one k for each placement.
+
+    Each link proposes a Y for each k, and each Y is judged by all links. Returns Y and the cost
+    (P, n) [nats] of each k with the Y that then suits the other placements best.
+
+    Args:
+        A: (L, 3, 3) boards in the frame in which they are placed.
+        B: (L, 3, 3) the same boards in the frame that is sought.
+        group: (L,) placement of each link, from 0 to P - 1.
+        S: (n, 3, 3) symmetries of the board.
+        most_rad: largest possible angle of Y; pi: no limit.
+    """
+    between = np.einsum("lab,nbc,ldc->lnad", A, np.swapaxes(S, 1, 2), B, optimize=True)
+    chosen = np.unique(np.linspace(0, len(A) - 1, MOST_OFFERS).astype(int))
+    offers = between[chosen].reshape(-1, 9)
+    off = _angles(offers @ between.reshape(-1, 9).T).reshape(len(offers), len(A), len(S))
+    members = group == np.arange(group.max() + 1)[:, None]
+    cost = np.einsum("pl,olk->opk", members, _cost(off), optimize=True)
+    prior = PRIOR * members.sum(axis=1)[:, None] * (np.arange(len(S)) > 0)
+    least = (cost + prior).min(axis=2)
+    too_far = _cost(np.maximum(_angles(offers @ np.eye(3).ravel()) - most_rad, 0.0))
+    total = least.sum(axis=1) + too_far
+    return (
+        offers[total.argmin()].reshape(3, 3),
+        (total[:, None, None] - least[..., None] + cost).min(axis=0),
+    )
+
+
+def _angles(trace: Array) -> Array:
+    """Return the angles [rad] of rotations of these traces."""
+    return np.arccos(np.clip((trace - 1) / 2, -1, 1))
+
+
+def _cost(off: Array) -> Array:
+    """Return the cost [nats] of angles that should be zero."""
+    return np.minimum((off / SPREAD_RAD) ** 2 / 2, CAP)
+
+
+def without_unclear(
+    observations: Observations, numbered: Renumbered
+) -> tuple[Observations, list[Finding]]:
+    """Leave out the images whose numbering nothing settles, and name them and the turned ones.
+
+    VergenceError if these are most images of a camera.
+    """
+    findings, corners = [], dict(observations.corners)
+    for name in corners:
+        for code, mask in (("boards-turned", numbered.turns), ("boards-unclear", numbered.unclear)):
+            rows = np.flatnonzero(mask[name]).tolist()
+            if not rows:
+                continue
+            where = f"{', '.join(map(observations.name_of_view, rows))} of {name}"
+            if code == "boards-turned":
+                sentence = f"The board is numbered from the wrong end, and was turned, in {where}."
+                findings.append(note(code, sentence, where))
+                continue
+            sentence = (
+                "Neither readings nor other cameras settle from which end the board is numbered in "
+                f"{where}: use a board whose ends differ (ChArUco, or an odd number of rows or "
+                "columns of corners)"
+            )
+            seen = int(np.isfinite(corners[name]).any(axis=(1, 2)).sum())
+            if len(rows) > seen / 2:
+                raise VergenceError(f"{sentence}.")
+            corners[name] = corners[name].copy()
+            corners[name][rows] = np.nan
+            findings.append(warning(code, f"{sentence}; these images were left out.", where))
+    return replace(observations, corners=corners), findings

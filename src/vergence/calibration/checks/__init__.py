@@ -1,1 +1,0 @@
-"""Checks of recordings: encoders, excitation, board flips, cross-validation."""
