@@ -28,7 +28,15 @@ from vergence.findings import Finding, note, void, warning
 from vergence.geometry.board import Board
 from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics, T_base_eye, straight_gaze
+from vergence.geometry.joints import Joint
+from vergence.geometry.kinematics import (
+    EYE_JOINTS,
+    EYES,
+    Kinematics,
+    Side,
+    T_base_eye,
+    straight_gaze,
+)
 from vergence.geometry.se3 import angle, inverse, known_poses, nearest_rotation, pose, rotvec
 from vergence.stereo.extrinsics import stereo_cameras
 
@@ -356,7 +364,9 @@ def _orders_of_joints(evidence: Evidence, _: list[TurnFit]) -> Variants:
         for changed in (EYES, EYES[:1], EYES[1:]):
             if any(len(eyes[eye]) != most for eye in changed):
                 continue
-            other = {eye: tuple(eyes[eye][k] for k in order) for eye in changed}
+            other: dict[Side, tuple[Joint, ...]] = {
+                eye: tuple(eyes[eye][k] for k in order) for eye in changed
+            }
             kinematics = Kinematics({**eyes, **other}, evidence.kinematics.readings)
             names = " before ".join(joint.name for joint in other[changed[0]])
             what = f"the turns fit {names}; describe the joints in this order by `kinematics`"

@@ -80,8 +80,8 @@ def prepare(
         check_readings(data)
     if method == "paper":
         paper: dict[str, LensOption] = {**lenses_of_the_paper(seen)}
-        stated = {name: each for name, each in by_camera(seen, lens).items() if each != "auto"}
-        lens = {**paper, **stated}
+        stated = by_camera(seen, lens)
+        lens = {name: paper[name] if each == "auto" else each for name, each in stated.items()}
     lenses = choose_lenses(seen, lens)
     models: dict[str, LensModel] = {name: choice.model for name, choice in lenses.items()}
     intrinsics = calibrate_intrinsics(seen, lenses=models)
