@@ -9,8 +9,8 @@ import head_kinds
 from head_kinds import GRID, lens_head, recording, tried
 from simulated_recording import EXACT
 from texts import texts
-from vergence.calibration.bundle_adjustment import NoiseModel, bundle_adjust
 from vergence.calibration import cross_validation
+from vergence.calibration.bundle_adjustment import NoiseModel, bundle_adjust
 from vergence.calibration.calibrate import CalibrationResult, calibrate
 from vergence.calibration.lens_map import (
     COLUMNS,

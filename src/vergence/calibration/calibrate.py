@@ -9,11 +9,8 @@ from typing import get_args
 
 import numpy as np
 
-<<<<<<< HEAD
 from vergence.arrays import single_blas_thread
-=======
 from vergence.calibration import board_shape, excitation, plausibility
->>>>>>> dac77a8 (Find what users mistake by one table of hypotheses and one score of the turns between views)
 from vergence.calibration.bundle_adjustment import BundleEstimate, bundle_adjust
 from vergence.calibration.cross_validation import (
     bundle_of_part,
