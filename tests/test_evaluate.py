@@ -113,7 +113,7 @@ def test_a_truth_with_other_joints_is_refused(head):
     tilts, pans = ({eye: head.kinematics.eyes[eye][k] for eye in EYES} for k in (1, 0))
     eyes: dict[Side, tuple[Joint, ...]] = {eye: (tilts[eye], pans[eye]) for eye in EYES}
     other = Kinematics(eyes)
-    with pytest.raises(VergenceError, match=r"its joints are left pan about .* left tilt about"):
+    with pytest.raises(VergenceError, match="its joints have other axes"):
         evaluate(replace(head, kinematics=other), truth_of(head))
 
 

@@ -18,13 +18,11 @@ from vergence.geometry.se3 import inverse, transform
 from vergence.twin.appearance import visual_geoms
 from vergence.twin.head import Twin
 from vergence.twin.simulated_robot import FRAME_S, foveal_errors
-from vergence.viewer.gaze import Moment, log_gaze_frame, log_gaze_series, log_gaze_styles, moment
+from vergence.viewer.gaze import Observed, log_gaze, log_gaze_styles
 from vergence.viewer.layouts import gaze_blueprint
 from vergence.viewer.recording import Recording, log_report, recording_file
 from vergence.viewer.seen import log_seen_styles
 
-SERIES = 1000
-"""Number of frames whose curves are recorded at once, which bounds the memory of a long run."""
 Watch = Callable[[GazeState, Frame | None, Mapping[str, str], Array | None], None]
 """A function that records a state and its frame, further phases by lane, and the position (3,) [m]
 of a hand in frame body. Without a frame it records nothing."""
@@ -73,37 +71,27 @@ def recorded(
     layout = gaze_blueprint(title, head, reach_m=reach_m, speed=speed, hand=hand, seen=seen)
     file = out / f"{name}.rrd"
     with recording_file(file, title, layout, head, visual_geoms(twin.model)) as rec:
-        recorder = _Recorder(rec, twin, settings)
-        yield recorder.watch, report
-        recorder.record_series()
+        yield _watch(rec, twin, settings), report
         log_report(rec, "\n".join(report))
 
 
-class _Recorder:
-    """Records frame after frame, and the curves of SERIES frames at a time."""
-
-    def __init__(self, rec: Recording, twin: Twin, settings: GazeSettings):
-        self._rec, self._twin, self._settings = rec, twin, settings
-        self._count = 0  # frames of all runs
-        self._moments: list[Moment] = []  # frames whose curves are not recorded yet
-        self._lanes: Mapping[str, str] = {}
-        # Time of the latest frame in its run, and of the start of that run on the timeline.
-        self._latest_s, self._start_s = -np.inf, 0.0
+def _watch(rec: Recording, twin: Twin, settings: GazeSettings) -> Watch:
+    """Return a function that records frame after frame of all runs on one timeline."""
+    head = settings.calibration
+    count, latest_s, began_s = 0, -np.inf, 0.0
+    lanes_before: dict[str, str] = {}
 
     def watch(
-        self, state: GazeState, frame: Frame | None, lanes: Mapping[str, str], hand: Array | None
+        state: GazeState, frame: Frame | None, lanes: Mapping[str, str], hand: Array | None
     ) -> None:
-        """Record a state and its frame: see `Watch`."""
+        nonlocal count, latest_s, began_s, lanes_before
         if frame is None:
             return
-        rec, twin, settings = self._rec, self._twin, self._settings
-        head = settings.calibration
-        if frame.time_s < self._latest_s:  # the next run
-            self._start_s += self._latest_s + FRAME_S
-        self._latest_s = frame.time_s
-        time_s = self._start_s + frame.time_s
+        if frame.time_s < latest_s:  # the next run
+            began_s += latest_s + FRAME_S
+        latest_s = frame.time_s
         T_body_lbase = T_body_base(head, "left", frame.neck_angles)
-        if not self._count:
+        if not count:
             log_gaze_styles(rec, head, twin.T_world_lbase() @ inverse(T_body_lbase))
             if state.geometry is not None:
                 log_seen_styles(rec, head, state.geometry.state)
@@ -112,34 +100,23 @@ class _Recorder:
         if poses["object"][2, 3] < 0:  # hidden, below the floor
             where, errors_px = np.full(3, np.nan), np.full(len(settings.eyes), np.nan)
         eyes = twin.true_angles()[EYE_READINGS]
-        log_gaze_frame(
-            rec,
-            settings,
-            state,
-            frame,
-            time_s=time_s,
-            index=self._count,
-            pictures=len(frame.images) == len(head.cameras),
+        lanes = {"gaze": state.phase.value, **lanes}
+        changed = {
+            lane: lanes.get(lane, "")
+            for lane in {*lanes_before, *lanes}
+            if lanes_before.get(lane) != lanes.get(lane)
+        }
+        observed = Observed(
+            time_s=began_s + frame.time_s,
+            index=count,
             body_poses=poses,
-            truth={name: project_point(twin.truth, name, eyes, where) for name in frame.images},
+            pixels={name: project_point(twin.truth, name, eyes, where) for name in frame.images},
+            position=transform(T_body_lbase, where),
+            errors_px=dict(zip(settings.eyes, errors_px, strict=True)),
+            hand=hand,
+            lanes=changed,
         )
-        truth = transform(T_body_lbase, where)
-        observed = {"lanes": lanes, "truth": truth, "errors_px": errors_px, "hand": hand}
-        self._moments.append(moment(settings, state, frame, time_s, **observed))
-        self._count += 1
-        if len(self._moments) == SERIES:
-            self.record_series()
+        log_gaze(rec, settings, state, frame, observed)
+        count, lanes_before = count + 1, lanes
 
-    def record_series(self) -> None:
-        """Record the curves of the frames since the last time."""
-        log_gaze_series(
-            self._rec,
-            self._moments,
-            eyes=tuple(self._settings.eyes),
-            joints=self._settings.joints,
-            first=self._count - len(self._moments),
-            lanes=self._lanes,
-        )
-        if self._moments:
-            self._lanes = self._moments[-1].lanes
-        self._moments.clear()
+    return watch

@@ -54,17 +54,13 @@ Target = Literal["chessboard", "charuco"]
 CHARUCO = Charuco(
     squares_x=8, squares_y=6, square_m=0.042, marker_m=0.032, dictionary="DICT_4X4_50"
 )
-"""As large as the chessboard; the 2.8 mm lens would not resolve the markers of smaller squares at
-0.6 m."""
-
-FRAMES = 60
-"""Default number of frames with the eyes at rest."""
-LEAST_FRAMES = 12
-"""With fewer frames at rest some camera would have fewer than three views."""
-MOST_FRAMES = 10_000
+"""As large as the chessboard; the 2.8 mm lens resolves its markers up to 0.6 m."""
+LEAST_FRAMES, MOST_FRAMES = 12, 10_000
+"""Numbers of frames at rest; below 12 some camera has fewer than three views."""
 PART_SEEN = 0.4
-"""Least visible part of a ChArUco board for which a camera takes an image."""
+"""Smallest visible part of a ChArUco board for which a camera takes an image."""
 RATE_HZ = 30.0
+"""Rate of the frames with moving eyes [Hz], as of usual cameras."""
 _SPEED_RAD_S = 2.5  # of the phase of pan: with 0.2 rad as fast as eyes that pursue a hand
 _AMPLITUDE_RAD = 0.2
 _VERGENCE_RAD = 0.03  # of each eye, to either side
@@ -72,7 +68,7 @@ _VERGENCE_RAD = 0.03  # of each eye, to either side
 
 @dataclass(frozen=True, eq=False, config=ConfigDict(extra="ignore"))
 class StatedJoints:
-    """What a dataset.json states of the joints of the eyes; its other fields are not read."""
+    """Joints of the eyes in a dataset.json, whose other fields are not read."""
 
     kinematics: dict[Side, tuple[EyeJoint, ...]]
     readings: dict[str, DatasetReading]
@@ -84,33 +80,30 @@ def record(
     profile: ErrorProfile,
     scene: Scene = "room",
     seed: int = 0,
-    frames: int = FRAMES,
+    frames: int = 60,
     lens: Lens = "2.8mm",
     target: Target = "chessboard",
     moving: int = 0,
     kinematics: Path | None = None,
     progress: Progress = silent,
 ) -> int:
-    """Record a dataset on the twin, and the truth beside it in truth.json.
+    """Record a dataset with its truth into a new or empty folder; return the number of images.
 
     Args:
-        out: folder that is new or empty.
-        profile: the error profile of the twin.
+        out: the folder.
+        profile: error profile of the twin.
         scene: what the head looks at.
         seed: of everything random.
         frames: number of frames with the eyes at rest.
         lens: of the wide cameras.
-        target: the kind of calibration board.
+        target: kind of calibration board.
         moving: number of frames that follow, at RATE_HZ, with moving eyes and the board at rest.
-        kinematics: JSON file with `kinematics` and `readings` as in dataset.json: the joints of
-            the twin's eyes; None: pan, then tilt.
+        kinematics: JSON file with the twin's `kinematics` and `readings` as in dataset.json; None:
+            pan, then tilt.
         progress: is called after each frame.
 
-    Returns:
-        The number of images written.
-
     Raises:
-        VergenceError: an argument cannot be met, or the folder cannot be written.
+        VergenceError: an argument is out of range, or the folder cannot be written.
     """
     if not LEAST_FRAMES <= frames <= MOST_FRAMES:
         raise VergenceError(
