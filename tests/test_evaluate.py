@@ -80,7 +80,7 @@ def test_errors_are_counted_in_their_standard_deviations(head):
     [
         (("head.json", "--truth", "ds"), "and ds is a folder: give ds/truth.json."),
         (("truth.json", "--truth", "head.json"), "truth.json is not a head calibration"),
-        (("ds", "--truth", "truth.json"), "Cannot read ds: it is a folder, and a file is to be"),
+        (("ds", "--truth", "truth.json"), "Cannot read ds: it is a folder"),
     ],
 )
 def test_files_that_are_exchanged_or_folders_are_answered_with_what_to_give(
