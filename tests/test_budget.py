@@ -2,7 +2,6 @@
 
 import json
 import re
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -12,18 +11,17 @@ from other_heads import KINDS, other_head
 from recordings import small_dataset
 from simulated_head import plain_head
 from test_location_accuracy import stated
-from vergence import cli
 from vergence.accuracy.budget import CALIBRATION, Source, budget, group_of
 from vergence.accuracy.motion_budget import (
     MotionBudgets,
     motion_budgets,
-    motion_of,
     stated_sources,
 )
 from vergence.accuracy.motions import PERIOD_S, eye_angles
 from vergence.arrays import Array
 from vergence.cli.accuracy_reports import advice, budget_report, budget_rows
 from vergence.errors import VergenceError
+from vergence.geometry.camera import pinhole
 from vergence.geometry.head import HeadCalibration, save_head
 from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import Kinematics, Side
@@ -47,15 +45,17 @@ def motion(name: str) -> dict[str, Array]:
 
 def run(
     head: HeadCalibration,
+    points: Array = POINT,
     *,
-    points: Array,
-    motion: str,
+    motion: str = "parallel",
     profile: ErrorProfile | None = None,
-    pixel_std_px: float | None = None,
+    noise_px: float | None = None,
 ) -> MotionBudgets:
-    sources = stated_sources(head, pixel_std_px)
+    """Return the budgets of points (..., 3) by a calibration or a profile."""
+    points = points.reshape(-1, 3)
+    sources = stated_sources(head, noise_px)
     if profile is not None:
-        sources = profile_sources(head, profile, pixel_std_px)
+        sources = profile_sources(head, profile, noise_px)
     return motion_budgets(head, points, motion=motion, sources=sources)
 
 
@@ -146,31 +146,67 @@ def test_the_covariance_of_a_calibration_is_split_into_its_groups():
     np.testing.assert_allclose(found.total.shared_m, sampled[1], rtol=0.12)
 
 
-def test_what_cannot_be_budgeted_is_refused():
-    nothing = {"motion": "parallel", "profile": None, "pixel_std_px": None}
-    with pytest.raises(VergenceError, match="needs sources of errors"):
-        run(HEAD, points=POINT[None], **nothing)
-    with pytest.raises(VergenceError, match="both cameras see"):
-        run(stated(HEAD), points=-POINT[None], **nothing)
-    with pytest.raises(VergenceError, match="pixel noise has a standard deviation of 0 or more"):
-        run(HEAD, points=POINT[None], motion="parallel", profile=None, pixel_std_px=np.nan)
-    with pytest.raises(VergenceError, match="There is no motion 'round'"):
-        motion_of("round", HEAD)
+TILTS = other_head("shared tilt, pan", np.random.default_rng(0))
+"""A head that has other readings than pan and tilt of each eye."""
+
+
+@pytest.mark.parametrize(
+    ("head", "options", "said"),
+    [
+        (HEAD, {}, "needs sources of errors"),
+        (stated(HEAD), {"points": -POINT}, "both cameras see"),
+        (HEAD, {"noise_px": np.nan}, "pixel noise has a standard deviation of 0 or more"),
+        (stated(HEAD), {"motion": "round"}, "There is no motion 'round'"),
+        (
+            replace(HEAD, accuracy=replace(stated(HEAD).accuracy, eye_motion="poses")),
+            {},
+            r"errors of joint readings .* measured eye poses",
+        ),
+        (
+            stated(TILTS),
+            {"motion": "divergent"},
+            r"'divergent' is of the readings .* has tilt, left_pan, right_pan\. .* dataset",
+        ),
+        (
+            stated(TILTS),
+            {"motion": "set"},
+            r"is for the joint readings tilt, left_pan, right_pan; .*set has left_pan, left_tilt",
+        ),
+    ],
+)
+def test_what_cannot_be_budgeted_is_refused(head, options, said, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    small_dataset(tmp_path / "set")
+    with pytest.raises(VergenceError, match=said):
+        run(head, **options)
+
+
+def test_points_and_parameters_that_no_camera_has_are_refused():
+    noise = Source("pixels", pixel_std_px=0.1)
+    lens = pinhole(640, 480, 280.0, (-0.3, 0.0, 0.0, 0.0, 0.0))  # folds over at 46 degrees
+    cameras = {n: replace(c, intrinsics=lens) for n, c in HEAD.cameras.items()}
+    folded = replace(HEAD, cameras=cameras)
+    with pytest.raises(VergenceError, match="in both images in 0 of"):
+        budget(folded, np.array([[0.4, 0.72, 0.0]]), **motion("parallel"), sources=[noise])
     source = Source("wrong", errors={"nose.fx": 1.0})
     with pytest.raises(VergenceError, match=r"no parameter 'nose\.fx'"):
         budget(HEAD, POINT[None], **motion("parallel"), sources=[source])
 
 
-def test_a_head_calibrated_with_measured_eye_poses_has_no_budget():
-    accuracy = replace(stated(HEAD).accuracy, joint_std=(1e-3, 2e-3), eye_motion="poses")
-    with pytest.raises(VergenceError, match=r"errors of joint readings .* measured eye poses"):
-        run(
-            replace(HEAD, accuracy=accuracy),
-            points=POINT[None],
-            motion="parallel",
-            profile=None,
-            pixel_std_px=None,
-        )
+def test_a_point_that_cannot_be_told_apart_from_infinity_is_refused_with_the_limit():
+    for scale in (100, 1e6):
+        with pytest.raises(VergenceError, match=r"points beyond about (\d+) m apart") as refused:
+            run(HEAD, scale * POINT, noise_px=0.5)
+    # sqrt(2) * 0.5 px of disparity at 280 px and 92 mm: 36 m, less with eyes that look aside.
+    limit = float(re.findall(r"about (\d+) m", str(refused.value))[0])
+    assert 25 < limit < 40
+    run(HEAD, 0.9 * limit * POINT / np.linalg.norm(POINT), noise_px=0.5)
+
+
+def test_a_budget_beyond_first_order_says_so():
+    near, far = (run(HEAD, scale * POINT, noise_px=0.5).budgets[0] for scale in (1, 20))
+    assert "may be larger or smaller" not in advice(near)
+    assert "may be larger or smaller" in advice(far)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -182,11 +218,18 @@ def test_a_profiles_errors_are_sources_for_heads_with_any_joints(kind: str):
     assert set(sources["gains of the joints"].errors) == gains
 
 
-def test_motions_of_pan_and_tilt_are_refused_for_heads_with_other_readings():
-    head = stated(other_head("shared tilt, pan", np.random.default_rng(0)))
-    said = r"'divergent' is of the readings .* has tilt, left_pan, right_pan\. .* dataset"
-    with pytest.raises(VergenceError, match=said):
-        run(head, points=POINT[None], motion="divergent", profile=None, pixel_std_px=0.1)
+def test_a_profile_gives_errors_that_the_calibration_did_not_estimate():
+    by_hand = ErrorProfile(by_hand=ByHand(focal_percent_28=1.0, focal_percent_40=2.0))
+    (lens,) = (source for source in profile_sources(HEAD, by_hand) if "focal" in source.name)
+    assert lens.errors["left_wide.fx"] == pytest.approx(2.8)
+    bundle = replace(HEAD, accuracy=replace(stated(HEAD).accuracy, method="bundle"))
+    sensors = ErrorProfile(
+        joints=Joints(noise_deg=0.1, gain_percent=(1, 1, 1, 1), delay_ms=5),
+        calibration=CalibrationProcedure(square_percent=1.0),
+    )
+    before, after = ({s.name for s in profile_sources(h, sensors)} for h in (HEAD, bundle))
+    assert before - after == {"gains of the joints"}
+    assert {"delay", "size of the board"} <= after  # no eyes moved in its recording
 
 
 def test_motions_and_noise_of_a_profile_are_those_of_the_joints_behind_a_gear():
@@ -197,108 +240,39 @@ def test_motions_and_noise_of_a_profile_are_those_of_the_joints_behind_a_gear():
     geared, profile = replace(HEAD, kinematics=Kinematics(eyes)), load_profile("noise-only")
     for name in ("parallel", "divergent"):
         direct, before = (
-            run(head, points=POINT[None], motion=name, profile=profile, pixel_std_px=0.1)
+            run(head, motion=name, profile=profile, noise_px=0.1).budgets[0]
             for head in (HEAD, geared)
         )
-        total, expected = before.budgets[0].total, direct.budgets[0].total
-        np.testing.assert_allclose(total.std_m, expected.std_m, rtol=1e-6)
+        np.testing.assert_allclose(before.total.std_m, direct.total.std_m, rtol=1e-6)
 
 
-def test_a_head_with_other_joints_has_no_parallel_motion():
-    head = other_head("shared tilt, pan", np.random.default_rng(0))
-    joints = np.random.default_rng(1).uniform(-0.1, 0.1, (5, len(head.kinematics.readings)))
-    source = [Source("pixels", pixel_std_px=0.2)]
-    budgets = budget(head, POINT[None], joints=joints, rates=0 * joints, sources=source)
-    found = MotionBudgets("data", budgets, None)
-    assert [row[4] for row in budget_rows(found, 0)] == ["", ""]
-    assert budget_report(found).data["in_parallel_motion"] is None
-    same = run(HEAD, points=POINT[None], motion="parallel", profile=None, pixel_std_px=0.2)
+def test_the_table_has_parallel_motion_beside_and_no_negative_zeros():
+    at = np.array([0.5, -0.04, 0.0])
+    found = run(HEAD, at, motion="divergent", profile=load_profile("paper"))
+    rows = budget_rows(found, 0)
+    assert [row[0] for row in rows[:3]] == ["pixel noise", "joint noise", "gains of the joints"]
+    assert rows[-1][0] == "total"
+    assert any((part.shared_m < 0).any() for part in found.budgets[0].parts)
+    assert "-0.00" not in " ".join(" ".join(row) for row in rows)
+    same = run(HEAD, noise_px=0.2)
     assert [row[4] for row in budget_rows(same, 0)] == [row[1] for row in budget_rows(same, 0)]
     assert budget_report(same).data["in_parallel_motion"] == budget_report(same).data["points"]
+    other = MotionBudgets("data", same.budgets, None)  # as of a head with other readings
+    assert [row[4] for row in budget_rows(other, 0)] == ["", ""]
+    assert budget_report(other).data["in_parallel_motion"] is None
 
 
-def test_the_motion_of_a_dataset_of_other_joints_is_refused(tmp_path):
-    small_dataset(tmp_path / "set")
-    head = stated(other_head("shared tilt, pan", np.random.default_rng(0)))
-    said = r"is for the joint readings tilt, left_pan, right_pan; .*set has left_pan, left_tilt"
-    with pytest.raises(VergenceError, match=said):
-        motion_of(str(tmp_path / "set"), head)
-
-
-def test_a_budget_beyond_first_order_says_so():
-    noise = {"motion": "parallel", "profile": None, "pixel_std_px": 0.5}
-    near, far = (run(HEAD, points=scale * POINT[None], **noise) for scale in (1, 20))
-    assert "may be larger or smaller" not in advice(near.budgets[0])
-    assert "may be larger or smaller" in advice(far.budgets[0])
-
-
-def test_a_point_that_cannot_be_told_apart_from_infinity_is_refused_with_the_limit():
-    noise = {"motion": "parallel", "profile": None, "pixel_std_px": 0.5}
-    for scale in (100, 1e6):
-        with pytest.raises(VergenceError, match=r"points beyond about (\d+) m apart") as refused:
-            run(HEAD, points=scale * POINT[None], **noise)
-    # sqrt(2) * 0.5 px of disparity at 280 px and 92 mm: 36 m, less with eyes that look aside.
-    limit = float(re.findall(r"about (\d+) m", str(refused.value))[0])
-    assert 25 < limit < 40
-    run(HEAD, points=0.9 * limit * POINT[None] / np.linalg.norm(POINT), **noise)
-
-
-def test_a_profile_gives_sources_that_the_papers_method_does_not_find():
-    found = run(
-        HEAD,
-        points=POINT[None],
-        motion="divergent",
-        profile=load_profile("paper"),
-        pixel_std_px=None,
-    )
-    names = [row[0] for row in budget_rows(found, 0)]
-    assert names[:3] == ["pixel noise", "joint noise", "gains of the joints"]
-    assert names[-1] == "total"
-    assert "half of" in advice(found.budgets[0])
-    both = ErrorProfile(by_hand=ByHand(focal_percent_28=1.0, focal_percent_40=2.0))
-    of_lens = [source for source in profile_sources(HEAD, both) if "focal" in source.name]
-    assert [source.errors["left_wide.fx"] for source in of_lens] == [pytest.approx(2.8)]
-    bundle = replace(HEAD, accuracy=replace(stated(HEAD).accuracy, method="bundle"))
-    sensors = ErrorProfile(
-        joints=Joints(noise_deg=0.1, gain_percent=(1, 1, 1, 1), delay_ms=5),
-        calibration=CalibrationProcedure(square_percent=1.0),
-    )
-    common = {"points": POINT[None], "motion": "parallel", "pixel_std_px": None}
-    parts = [
-        [part.name for part in run(head, profile=sensors, **common).budgets[0].parts]
-        for head in (HEAD, bundle)
-    ]
-    assert {"gains of the joints", "delay"} <= set(parts[0])
-    assert "gains of the joints" not in parts[1]
-    assert "delay" in parts[1]  # no eyes moved in its recording
-    assert all("size of the board" in own for own in parts)  # no view of joint heads shows it
-
-
-def test_the_command_writes_a_table_json_and_a_figure(tmp_path, monkeypatch, capsys):
+def test_a_real_heads_budget_writes_a_table_json_and_a_figure_without_the_twin(tmp_path):
     save_head(stated(HEAD), tmp_path / "head.json")
-    monkeypatch.chdir(tmp_path)
-    typed = "budget --calibration head.json --at 0.6 -0.03 0.02 --json budget.json --figure b.png"
-    monkeypatch.setattr(sys, "argv", ["vergence", *typed.split()])
-    cli.main()
-    printed = capsys.readouterr().out
-    assert "mountings" in printed
-    written = json.loads((tmp_path / "budget.json").read_text())
-    found = run(
-        stated(HEAD), points=POINT[None], motion="divergent", profile=None, pixel_std_px=None
-    )
-    assert written == json.loads(json.dumps(budget_report(found).data))
-    assert (tmp_path / "b.png").stat().st_size > 1000
-
-
-def test_a_real_heads_budget_needs_no_twin(tmp_path):
-    save_head(stated(HEAD), tmp_path / "head.json")
-    words = "budget", "--calibration", "head.json"
-    done = without_mujoco(*words, "--json", "budget.json", folder=tmp_path)
+    words = "budget --calibration head.json --at 0.6 -0.03 0.02 --json budget.json --figure b.png"
+    done = without_mujoco(*words.split(), folder=tmp_path)
     assert done.returncode == 0, done.stderr
+    assert "1 std [mm]" in done.stdout
+    assert "mountings" in done.stdout
     assert "half of" in done.stdout
-    assert (tmp_path / "budget.json").exists()
-    refused = without_mujoco(
-        "budget", "--calibration", "head.json", "--profile", "paper", folder=tmp_path
-    )
+    written = json.loads((tmp_path / "budget.json").read_text())
+    assert written == json.loads(budget_report(run(stated(HEAD), motion="divergent")).json())
+    assert (tmp_path / "b.png").stat().st_size > 1000
+    refused = without_mujoco(*words.split()[:3], "--profile", "paper", folder=tmp_path)
     assert refused.returncode == 2
     assert "Rendering needs OpenGL" in refused.stderr

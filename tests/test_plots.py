@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from simulated_twin import observe_points
-from vergence.errors import VergenceError
 from vergence.paper import plots
 from vergence.paper.figures import FIGURES, default_duration_s
 from vergence.paper.plots import draw_figures, save_figures
@@ -32,7 +31,7 @@ def result(number: int, *, dropped: int = 3) -> Replay:
     return estimate(head, figure, seen)
 
 
-@pytest.mark.parametrize("numbers", [tuple(FIGURES), (8,), (9, 8), (6, 10), (6, 9)])
+@pytest.mark.parametrize("numbers", [tuple(FIGURES), (9, 8), (6,)])
 def test_each_figure_has_a_panel_with_its_estimates(numbers: tuple[int, ...]):
     results = {number: result(number) for number in numbers}
     panels = [axes for axes in draw_figures(list(results.values())).axes if axes.get_visible()]
@@ -102,13 +101,6 @@ def test_the_folder_holds_the_picture_and_nothing_else(tmp_path: Path):
     assert images[0] is not None
     np.testing.assert_array_equal(*images)
     assert list(path.parent.iterdir()) == [path]
-
-
-def test_a_path_that_cannot_be_written_is_one_sentence(tmp_path: Path):
-    (tmp_path / "figures.png").mkdir()
-    with pytest.raises(VergenceError, match=r"^Cannot write .*figures\.png: .*\.$"):
-        save_figures(tmp_path / "figures.png", [result(6)])
-    assert [path.name for path in tmp_path.iterdir()] == ["figures.png"]
 
 
 def test_the_cost_of_depth_is_drawn_as_computed():
