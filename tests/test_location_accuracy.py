@@ -23,7 +23,7 @@ from vergence.geometry.se3 import inverse
 from vergence.paper.figures import FIGURES, Figure
 from vergence.stereo.depth_error import depth_error, disparity_error
 from vergence.stereo.triangulation import triangulate_at
-from vergence.stereo.uncertainty import combination, locate, locate_both, locate_jointly
+from vergence.stereo.uncertainty import combination, locate, locate_jointly
 
 N = 100_000
 FOCAL_PX = {"2.8mm": 280.0, "4.0mm": 400.0}
@@ -250,10 +250,6 @@ def test_sums_and_differences_are_of_the_points_that_are_located():
     each = locate(head, **seen, **noise).xyz
     total, _ = combination(head, weights=weights, **seen, **noise)
     np.testing.assert_allclose(total, weights @ each)
-    a, b, _ = locate_both(
-        head, left=(left[:3], left[3:]), right=(right[:3], right[3:]), joints=joints, **noise
-    )
-    np.testing.assert_allclose([*a, *b], each)
 
 
 def test_points_that_are_not_seen_do_not_count_with_weight_zero():

@@ -15,7 +15,7 @@ from vergence.geometry.projection import project_point
 from vergence.stereo.extrinsics import T_rcam_lcam, base_extrinsics
 from vergence.stereo.rectification import rectify
 from vergence.stereo.triangulation import in_body, in_head, triangulate_at
-from vergence.stereo.uncertainty import locate, locate_both
+from vergence.stereo.uncertainty import locate
 
 
 @pytest.fixture
@@ -36,8 +36,7 @@ def test_a_path_in_place_of_a_head_is_refused():
 @pytest.mark.parametrize(
     "function",
     [
-        *(locate, locate_both),
-        *(triangulate_at, base_extrinsics),
+        *(locate, triangulate_at, base_extrinsics),
     ],
 )
 def test_arguments_that_could_be_exchanged_must_be_named(function):

@@ -22,7 +22,7 @@ from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import boxplus, rotation
 from vergence.stereo.depth_error import depth_error, disparity_error
 from vergence.stereo.triangulation import triangulate_at
-from vergence.stereo.uncertainty import combination, locate, locate_both, locate_jointly
+from vergence.stereo.uncertainty import combination, locate, locate_jointly
 
 
 def test_depth_error_is_the_slope_of_depth_over_disparity():
@@ -294,10 +294,11 @@ def test_the_covariance_of_a_difference_leaves_out_what_is_shared():
     turned = eyes + rng.normal(0, joint_std, (n, 4))
     noisy = np.stack([left, right], axis=1)[:, :, None] + rng.normal(0, pixel_std, (2, 2, n, 2))
     a, b = (triangulate_at(head, left=u, right=v, joints=turned)[0] for u, v in noisy)
-    both = {"left": (left[:1], left[1:]), "right": (right[:1], right[1:]), "joints": eyes}
     stds = {"pixel_std_px": pixel_std, "joint_std_rad": joint_std}
-    there_a, there_b, (stated,) = locate_both(head, **both, **stds)
-    np.testing.assert_allclose([*there_a, *there_b], points, atol=1e-9)
+    difference, stated = combination(
+        head, weights=np.array([1.0, -1.0]), left=left, right=right, joints=eyes, **stds
+    )
+    np.testing.assert_allclose(difference, points[0] - points[1], atol=1e-9)
     found = np.cov((a - b).T)
     np.testing.assert_allclose(found, stated, atol=0.03 * np.trace(stated))
     assert np.trace(found) < 0.1 * np.trace(np.cov(a.T))

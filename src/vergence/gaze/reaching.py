@@ -28,10 +28,10 @@ from vergence.gaze.hand import HandCommand, HandDriver, HandReading, append_read
 from vergence.gaze.kalman import MotionModel, Track, fuse, predict
 from vergence.gaze.observation import detect, posture_at_image, update_track
 from vergence.gaze.state import GazePhase, GazeSettings, GazeState, initial_gaze_state
-from vergence.geometry.head import T_body_base
+from vergence.geometry.head import T_body_base, without_accuracy
 from vergence.geometry.se3 import transform
 from vergence.self_calibration.calibrator import VisualGeometry
-from vergence.stereo.uncertainty import locate_both
+from vergence.stereo.uncertainty import combination
 from vergence.vision.detector import Detection, Detector
 from vergence.vision.sphere import sphere_detector
 
@@ -262,24 +262,26 @@ def _measure_target(settings: ReachSettings, state: ReachState, frame: Frame) ->
         found = [each for each in (*objects, *markers) if each is not None]
         if len(found) < 4:
             continue
-        pixels = np.array([each.pixel for each in found]).reshape(2, 2, 1, 2)  # object, marker; eye
+        pixels = np.array([each.pixel for each in found]).reshape(2, 2, 2)  # object, marker; eye
         stds = np.array([each.std_px for each in found]).reshape(2, 2).max(axis=0)  # by eye
         posture = posture_at_image(settings.gaze, state.gaze, frame)
-        object_lbase, marker_lbase, covariances = locate_both(
-            calibration,
-            left=(pixels[0, 0], pixels[1, 0]),
-            right=(pixels[0, 1], pixels[1, 1]),
+        # Both at the same readings: their noise is in both, and cancels as far as they are near.
+        difference, covariance = combination(
+            without_accuracy(calibration),
+            weights=np.array([1.0, -1.0]),
+            left=pixels[:, 0],
+            right=pixels[:, 1],
             joints=posture[EYE_READINGS],
             pixel_std_px=np.repeat(stds, 2),
             joint_std_rad=settings.gaze.command_std_rad,
             cameras=(cameras[0], cameras[1]),
         )
-        if not np.isfinite(covariances).all():
+        if not np.isfinite(covariance).all():
             return state
         T = T_body_base(calibration, "left", posture)
-        difference = T[:3, :3] @ (object_lbase[0] - marker_lbase[0])
+        difference = T[:3, :3] @ difference
         marker = transform(hand_at(state.readings, frame.time_s), settings.marker_hand)
-        covariance = T[:3, :3] @ covariances[0] @ T[:3, :3].T
+        covariance = T[:3, :3] @ covariance @ T[:3, :3].T
         target = fuse(
             state.target, frame.time_s, marker + difference, covariance, motion=settings.motion
         )

@@ -73,13 +73,10 @@ class Charuco:
             raise ValueError(
                 f"marker_m lies between 0 and square_m = {self.square_m}, found {self.marker_m}"
             )
-        if self.dictionary not in DICTIONARIES:
-            known = ", ".join(DICTIONARIES)
-            raise ValueError(f"dictionary is one of {known}; found {self.dictionary!r}")
-        there = len(marker_family(self.dictionary).bytesList)
-        needed = self.squares_x * self.squares_y // 2
-        if needed > there:
-            raise ValueError(f"the board has {needed} markers, but {self.dictionary} only {there}")
+        try:
+            marker_family(self.dictionary, self.squares_x * self.squares_y // 2 - 1)
+        except VergenceError as error:
+            raise ValueError(str(error)) from None
 
     @property
     def columns(self) -> int:

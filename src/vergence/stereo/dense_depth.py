@@ -76,7 +76,7 @@ def dense_depth(
     joint_std_rad: ArrayLike | None = None,
     located: Callable[..., LocatedPoints] | None = None,
 ) -> DenseDepth:
-    """Return the depth of the pixels of a left image.
+    """Compute the depth of the pixels of a left image.
 
     Args:
         pair: how to rectify the images; the accuracy of its head, where it has one, enters into
@@ -140,7 +140,7 @@ def dense_depth(
 
 
 def _match(left: np.ndarray, right: np.ndarray, largest_px: float) -> Array:
-    """Return disparities (H, W) [px]; NaN: none, or one that the right image does not confirm."""
+    """Match disparities (H, W) [px]; NaN: none, or one that the right image does not confirm."""
     span = 16 * int(np.ceil((largest_px + 1) / 16))
     matcher = cv2.StereoSGBM.create(
         minDisparity=0,
@@ -161,12 +161,12 @@ def _match(left: np.ndarray, right: np.ndarray, largest_px: float) -> Array:
 
 
 def _whole(seen: np.ndarray) -> np.ndarray:
-    """Return (H, W) whether the whole block around a pixel is seen."""
+    """Check (H, W) whether the whole block around a pixel is seen."""
     return cv2.erode(seen.astype(np.uint8), np.ones((BLOCK_PX, BLOCK_PX), np.uint8)) > 0
 
 
 def _std_by_texture(grey: np.ndarray) -> Array:
-    """Return the standard deviation (H, W) [px] of a block's match: its Cramer-Rao bound.
+    """Compute the standard deviation (H, W) [px] of a block's match: its Cramer-Rao bound.
 
     With both images as noisy as each other the variance is 2 noise^2 / sum of dI/du^2; the
     matcher's own error is added.
@@ -177,12 +177,11 @@ def _std_by_texture(grey: np.ndarray) -> Array:
 
 
 def _std_by_slope(disparity: Array) -> Array:
-    """Return the standard deviation (H, W) [px] that the slant of a surface adds to a disparity.
+    """Compute the standard deviation (H, W) [px] that the slant of a surface adds to a disparity.
 
-    A block is matched where it has texture, which may be half a block beside its middle. In
-    rendered rooms, of the pixels of surfaces whose disparity changes by up to 0.12 px per pixel 88
-    to 94 % lie within two deviations, of steeper ones 81 %, and from 0.25 px on 58 %: the matcher
-    flattens these, so that their slope is underestimated.
+    A block is matched where it has texture, which may be half a block beside its middle. The
+    matcher flattens surfaces whose disparity changes by more than 0.12 px per pixel, so that their
+    slope is underestimated: in rendered rooms 58 to 81 % of their pixels lie within two deviations.
     """
     width = disparity.shape[1]
     seen, u = np.isfinite(disparity).astype(float), np.arange(width) - width / 2
@@ -201,10 +200,9 @@ def _std_by_slope(disparity: Array) -> Array:
 def _std_by_geometry(
     pair: RectifiedPair, disparity: Array, located: Callable[..., LocatedPoints] | None
 ) -> Array:
-    """Return what calibration and readings leave open (H, W), as an error of disparity [px].
+    """Compute the error of disparity (H, W) [px] by calibration and readings.
 
-    That hardly depends on the depth and changes slowly over the image: it is computed at some
-    pixels and interpolated. Zero where nothing is stated.
+    It changes slowly over the image, and is interpolated. Zero if no noise is stated.
     """
     height, width = disparity.shape
     if located is None or not np.isfinite(disparity).any():
@@ -235,15 +233,7 @@ def _std_by_geometry(
 
 
 def point_cloud(pair: RectifiedPair, found: DenseDepth) -> tuple[Array, np.ndarray]:
-    """Return the matched points (N, 3) [m] in the left eye's base frame, and colours (N, 3).
-
-    VergenceError if the depth is not of the pair's size.
-    """
-    if found.disparity_px.shape != pair.left.map_x.shape:
-        raise VergenceError(
-            f"Points are of the pair that the depth was found in; found a pair of shape "
-            f"{pair.left.map_x.shape} and a depth of shape {found.disparity_px.shape}."
-        )
+    """Compute the matched points (N, 3) [m] in the left eye's base frame, and colours (N, 3)."""
     v, u = np.nonzero(np.isfinite(found.disparity_px))
     pixels = np.stack([u, v], axis=-1).astype(float)
     points = rectified_points(pair, pixels, found.disparity_px[v, u])

@@ -16,11 +16,14 @@ from numpy.typing import ArrayLike
 
 from vergence.arrays import Array, floats, single_blas_thread
 from vergence.errors import VergenceError
+from vergence.geometry.batches import batch_last, times, vector
 from vergence.geometry.camera import (
     MAX_IMAGE_AREA_PX,
     MAX_IMAGE_PX,
     Camera,
+    in_reach,
     is_image_size,
+    project,
     unproject,
 )
 from vergence.geometry.eye_motion import check_joints
@@ -28,7 +31,6 @@ from vergence.geometry.head import HeadCalibration, pair_names
 from vergence.geometry.kinematics import checked_readings
 from vergence.geometry.se3 import inverse, pose, transform
 from vergence.stereo.extrinsics import camera_poses, stereo_cameras
-from vergence.stereo.rectified_map import pixels_of_rays, rectified_map
 
 FOCAL_SHARE = 0.85
 """Focal length of the rectified cameras, relative to the mean of the real ones: eyes that diverge
@@ -39,6 +41,8 @@ images, the plane of the pair is nearly along the rays."""
 _GRID = 24
 """Rays along each axis of the image, and distances in baselines, for the share that is shown."""
 _DISTANCES = np.array([4.0, 16.0, 64.0, 1024.0])
+_OUTSIDE = -1e4
+"""In a map: no pixel of the camera shows this direction."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +144,7 @@ def rectify(
         raise _nothing_in_common(cameras, 0.0)
     matrix = _matrix(looks, focal_px or own_px, size)
     views = [
-        RectifiedView(lens, R, *rectified_map(lens, R, matrix, size))
+        RectifiedView(lens, R, *_map(lens, R, matrix, size))
         for lens, R in zip(lenses, (R_rect_lcam, R_rect_lcam @ R_lcam_rcam), strict=True)
     ]
     whole = _matrix(looks, own_px, own_size)
@@ -166,6 +170,23 @@ def _matrix(looks: Array, focal_px: float, size: tuple[int, int]) -> Array:
     return np.array([[focal_px, 0, cx], [0, focal_px, cy], [0, 0, 1]])
 
 
+def _map(
+    camera: Camera, R_rect_cam: Array, matrix: Array, size: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Compute column and row (H, W) float32 in the real image of each rectified pixel."""
+    u, v = np.meshgrid(*(np.arange(n, dtype=float) for n in size))
+    rays = times(R_rect_cam.T @ np.linalg.inv(matrix), vector(u, v, 1.0))
+    map_x, map_y = batch_last(_pixels_of_rays(camera, rays).astype(np.float32))
+    return np.ascontiguousarray(map_x), np.ascontiguousarray(map_y)
+
+
+def _pixels_of_rays(camera: Camera, rays: Array) -> Array:
+    """Compute where (..., 2) an image shows points (..., 3) in frame cam; _OUTSIDE: nowhere."""
+    good = in_reach(camera, *batch_last(rays))[..., None]
+    pixels = np.where(good, project(camera, rays), _OUTSIDE)
+    return pixels.clip(_OUTSIDE, -_OUTSIDE)
+
+
 def _share_shown(
     views: Sequence[RectifiedView], T_rcam_lcam: Array, matrix: Array, size: tuple[int, int]
 ) -> float:
@@ -178,7 +199,7 @@ def _share_shown(
     here = np.stack(np.meshgrid(u, v), axis=-1)
     distances = np.linalg.norm(T_rcam_lcam[:3, 3]) * _DISTANCES
     points = unproject(left, here) * distances[:, None, None, None]
-    there = pixels_of_rays(right, transform(T_rcam_lcam, points))
+    there = _pixels_of_rays(right, transform(T_rcam_lcam, points))
     both = _within(there, right.size)
     shown = both.copy()
     for view, pixels in zip(views, (here, there), strict=True):

@@ -48,24 +48,10 @@ def triangulate_at(
     cameras: tuple[str, str] | None = None,
     pixel_std_px: ArrayLike = 1.0,
 ) -> tuple[Array, np.ndarray]:
-    """Return points in the left eye's base frame, and their status (Eqs. 3, 4 and 11).
+    """Triangulate points (N, 3) [m] in the left eye's base frame, with status (N,) (Eqs. 3, 4, 11).
 
-    Args:
-        head: a calibration with a camera in each eye.
-        left: (N, 2) pixels in the left camera, distortion included; NaN: not seen.
-        right: (N, 2) pixels in the right camera.
-        joints: readings [rad], (r,) for all points or (N, r), or eye poses (2, 4, 4) or (N, 2, 4,
-            4).
-        cameras: names of the left and the right camera; None: the main ones.
-        pixel_std_px: noise of (left u, left v, right u, right v), of which only the ratios count: a
-            number, (4,) or (N, 4).
-
-    Returns:
-        Points (N, 3) [m], NaN where the status is not OK, and the status (N,).
-
-    Raises:
-        VergenceError: shapes do not fit, readings are not in radians, poses are not rigid, the
-            noise is negative, or the head has no such pair of cameras.
+    NaN where the status is not OK. Of the noise of (left u, left v, right u, right v) only the
+    ratios count. Arguments and errors are those of `uncertainty.locate`.
     """
     seen = sightings(
         head,
@@ -144,10 +130,7 @@ def _coplanar_rays(
 
 
 def in_head(head: HeadCalibration, points_lbase: Array) -> Array:
-    """Map points (..., 3) [m] from the left eye's base frame into frame head.
-
-    VergenceError if they are not (..., 3).
-    """
+    """Map points (..., 3) [m] from the left eye's base frame into frame head."""
     return transform(T_head_base(head, "left"), checked_points(points_lbase))
 
 

@@ -231,7 +231,7 @@ def combination(
     for start in range(0, len(counting), CHUNK):
         part = counting[start : start + CHUNK]
         some, own = seen.take(part), weights[part][:, None, None]
-        located = linearised(some)
+        located = linearised(some, parameters=factor.size > 0)
         by_pixels, by_reading = (each * own for each in by_noise(located, some))
         total += weights[part] @ located.points
         covariance += covariances_of(by_pixels).sum(axis=0)
@@ -243,40 +243,3 @@ def combination(
     for shared in (by_readings, by_head @ factor):
         covariance += shared @ shared.T
     return total, covariance
-
-
-def locate_both(
-    head: HeadCalibration,
-    *,
-    left: tuple[Array, Array],
-    right: tuple[Array, Array],
-    joints: Array,
-    pixel_std_px: ArrayLike,
-    joint_std_rad: ArrayLike,
-    cameras: tuple[str, str] | None = None,
-) -> tuple[Array, Array, Array]:
-    """Locate two points that are seen together, with the covariance of their difference.
-
-    Both are seen by the same cameras at the same readings, so that an error of the readings is in
-    both, and cancels as far as the two are near each other. The calibration is taken as exact.
-
-    `left` and `right` have the pixels (N, 2) of points a and of points b; other arguments and
-    errors are those of `locate`. Returns points a and b (N, 3) [m], and covariances (N, 3, 3) [m^2]
-    of a - b, in the left eye's base frame; NaN where a point cannot be located.
-    """
-    points, changes = [], []
-    for uv_left, uv_right in zip(left, right, strict=True):
-        seen = sightings(
-            head,
-            left=uv_left,
-            right=uv_right,
-            joints=joints,
-            cameras=cameras,
-            pixel_std_px=pixel_std_px,
-            joint_std_rad=joint_std_rad,
-        )
-        located = linearised(seen, parameters=False)
-        points.append(located.points)
-        changes.append(by_noise(located, seen))
-    (a_px, a_rad), (b_px, b_rad) = changes
-    return *points, covariances_of(a_px) + covariances_of(b_px) + covariances_of(a_rad - b_rad)
