@@ -144,15 +144,6 @@ def test_cameras_that_do_not_show_the_usual_nearest_depth_have_one_of_their_own(
     assert np.isnan(dense_depth(wide, image, image).depth_m).all()
 
 
-def test_points_are_of_the_pair_that_the_depth_was_found_in(pair: RectifiedPair, drawn):
-    found = dense_depth(pair, *drawn)
-    small = rectify(HEAD, JOINTS, size=(320, 240))
-    with pytest.raises(
-        VergenceError, match=r"shape \(240, 320\) and a depth of shape \(480, 640\)"
-    ):
-        point_cloud(small, found)
-
-
 def test_grey_images_have_the_depth_of_the_same_ones_in_colour(pair: RectifiedPair, drawn):
     grey = [cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in drawn]
     by_grey, by_colour = (dense_depth(pair, *images) for images in (grey, drawn))

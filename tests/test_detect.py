@@ -76,7 +76,11 @@ def test_part_of_a_charuco_board_gives_the_right_corners(seen, upside_down):
         (CHARUCO, {"marker_m": 0.04}, "marker_m lies between"),
         (CHARUCO, {"marker_m": 0.0}, "marker_m lies between"),
         (CHARUCO, {"dictionary": "DICT_9X9"}, "No marker dictionary is called"),
-        (CHARUCO, {"squares_x": 12, "squares_y": 12}, "marker 71 of DICT_4X4_50, whose markers are 0 to 49"),
+        (
+            CHARUCO,
+            {"squares_x": 12, "squares_y": 12},
+            "marker 71 of DICT_4X4_50",
+        ),
         (CHESSBOARD, {"columns": 0}, "columns"),
         (CHESSBOARD, {"rows": -1}, "rows"),
         (CHESSBOARD, {"square_m": 0.0}, "square_m"),

@@ -41,6 +41,8 @@ images, the plane of the pair is nearly along the rays."""
 _GRID = 24
 """Rays along each axis of the image, and distances in baselines, for the share that is shown."""
 _DISTANCES = np.array([4.0, 16.0, 64.0, 1024.0])
+_ROWS = 16
+"""Rows of a map that are projected at a time, so that they stay in the cache."""
 _OUTSIDE = -1e4
 """In a map: no pixel of the camera shows this direction."""
 
@@ -174,10 +176,13 @@ def _map(
     camera: Camera, R_rect_cam: Array, matrix: Array, size: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute column and row (H, W) float32 in the real image of each rectified pixel."""
-    u, v = np.meshgrid(*(np.arange(n, dtype=float) for n in size))
-    rays = times(R_rect_cam.T @ np.linalg.inv(matrix), vector(u, v, 1.0))
-    map_x, map_y = batch_last(_pixels_of_rays(camera, rays).astype(np.float32))
-    return np.ascontiguousarray(map_x), np.ascontiguousarray(map_y)
+    (width, height), R_cam_rays = size, R_rect_cam.T @ np.linalg.inv(matrix)
+    maps = np.empty((2, height, width), np.float32)
+    for top in range(0, height, _ROWS):
+        rows = slice(top, top + _ROWS)
+        u, v = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float)[rows])
+        maps[:, rows] = batch_last(_pixels_of_rays(camera, times(R_cam_rays, vector(u, v, 1.0))))
+    return maps[0], maps[1]
 
 
 def _pixels_of_rays(camera: Camera, rays: Array) -> Array:
