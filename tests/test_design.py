@@ -13,7 +13,6 @@ from vergence.accuracy.design import (
     Sensitivity,
     designed_head,
     fixating_joints,
-    joint_std_rad,
     noise_mean_square,
     sensitivity,
     standard_recording,
@@ -86,14 +85,6 @@ def test_samples_of_late_readings_scatter_as_stated(correlation):
     )[0]  # fmt: skip
     standard_error = squares.std() / np.sqrt(n) / stated
     assert squares.mean() / stated == pytest.approx(1, abs=4 * standard_error + 0.005)
-
-
-def test_an_encoder_rounds_uniformly():
-    step = 2 * np.pi / 4096
-    errors = np.random.default_rng(0).uniform(-step / 2, step / 2, 100_000)
-    assert joint_std_rad(4096, 0.0) == pytest.approx(errors.std(), rel=0.01)
-    assert joint_std_rad(0, 0.1) == np.radians(0.1)
-    assert joint_std_rad(4096, 0.1) == pytest.approx(np.hypot(errors.std(), np.radians(0.1)), 1e-3)
 
 
 @pytest.mark.parametrize(("baseline_m", "focal_px"), [(0.06, 280.0), (0.1, 500.0)])

@@ -14,6 +14,7 @@ from simulated_head import plain_head, random_head, rough_start
 from simulated_recording import BOARD, EXACT, Recording, joined, record
 from test_kinematics import shared_tilt
 from vergence import cli
+from vergence.accuracy import plan as plan_module
 from vergence.accuracy import plan_information
 from vergence.accuracy import plan_source as command
 from vergence.accuracy.plan import Plan, choose, plan
@@ -63,7 +64,9 @@ def first_recording(truth: HeadCalibration) -> Observations:
 
 @pytest.fixture(scope="module")
 def planned(calibrated: HeadCalibration) -> Plan:
-    return plan(calibrated, BOARD, limits_rad=LIMITS, candidates=(30, 6))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(plan_module, "CANDIDATES", (30, 6))
+        return plan(calibrated, BOARD, limits_rad=LIMITS)
 
 
 def test_admissible_views_show_the_whole_board_before_both_main_cameras_within_the_limits(truth):
@@ -157,10 +160,10 @@ def geared(kinematics: Kinematics, factor: float) -> Kinematics:
     return replace(kinematics, eyes=eyes)
 
 
-def test_limits_of_each_reading_are_those_of_the_planned_readings(calibrated):
+def test_limits_of_each_reading_are_those_of_the_planned_readings(calibrated, quick):
     head = replace(calibrated, kinematics=geared(calibrated.kinematics, 0.5))
     limits = 1.5 * LIMITS
-    found = plan(head, BOARD, views=3, limits_rad=limits, candidates=(6, 3))
+    found = plan(head, BOARD, views=3, limits_rad=limits)
     assert (np.abs(found.views.joints) <= limits).all()
     assert (np.abs(found.workspace.joints) <= limits + 1e-9).all()
 
@@ -202,7 +205,7 @@ def test_the_view_that_tells_what_points_need_is_chosen_first_and_others_are_exc
 
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(plan.__kwdefaults__, "candidates", (6, 3))
+    monkeypatch.setattr(plan_module, "CANDIDATES", (6, 3))
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> None:
@@ -255,26 +258,6 @@ def test_a_dataset_is_calibrated_first_and_states_its_board(
     assert capsys.readouterr().out == of_dataset
 
 
-@pytest.mark.parametrize(
-    ("eyes", "poses", "said"),
-    [
-        (("left", "right"), np.eye(4), "which joint readings to take; my_head has measured eye"),
-        (("left", "left"), None, "points that both eyes see; my_head has cam_0, cam_1."),
-    ],
-)
-def test_a_dataset_for_which_nothing_can_be_planned_is_not_calibrated(
-    eyes, poses, said, tmp_path, monkeypatch, capsys
-):
-    cameras = {f"cam_{k}": SimpleNamespace(eye=eye) for k, eye in enumerate(eyes)}
-    about = SimpleNamespace(cameras=cameras, board=BOARD)
-    data = SimpleNamespace(description=about, T_base_eye=poses, folder="my_head")
-    monkeypatch.setattr(command, "load_dataset", lambda folder: data)
-    monkeypatch.setattr(command, "calibrate", None)
-    with pytest.raises(SystemExit, match="2"):
-        run(monkeypatch, "plan", tmp_path)
-    assert said in capsys.readouterr().err
-
-
 def test_the_guide_to_plans_runs(calibrated, quick, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     save_head(calibrated, tmp_path / "head.json")
@@ -307,9 +290,9 @@ def test_wrong_options_end_in_a_sentence(
 
 
 @pytest.mark.parametrize("views", [0, 19])
-def test_as_many_views_are_planned_as_there_are_candidates_at_most(calibrated, views):
+def test_as_many_views_are_planned_as_there_are_candidates_at_most(calibrated, quick, views):
     with pytest.raises(VergenceError, match=f"of the 6 places .* x 3 directions .* found {views}"):
-        plan(calibrated, BOARD, views=views, limits_rad=LIMITS, candidates=(6, 3))
+        plan(calibrated, BOARD, views=views, limits_rad=LIMITS)
 
 
 def test_what_a_calibration_holds_fixed_is_known_before_the_planned_views(calibrated):

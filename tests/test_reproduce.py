@@ -19,7 +19,6 @@ from vergence.geometry.head import load_head
 from vergence.paper import reproduce as main_job
 from vergence.paper.figures import FIGURES
 from vergence.paper.replay import describe, estimate, sample_times
-from vergence.paper.report import Reproduction, report
 from vergence.paper.reproduce import ReproductionSettings, reproduce
 from vergence.twin import looking_around
 from vergence.twin.calibration_errors import inject_calibration_error
@@ -154,24 +153,6 @@ def test_the_report_states_the_statistics(run):
         assert row[0] == number
         assert [float(x) for x in row[4].split("/")] == [round(x, 4) for x in found["std_m"]]
         assert [int(row[7]), int(row[8])] == [found["samples"], found["dropped"]]
-
-
-@pytest.mark.slow
-def test_the_report_of_two_lenses_has_one_whole_table_of_calibrations():
-    profile, rng = load_profile("ideal"), np.random.default_rng(0)
-    calibrations, replays = {}, {}
-    for lens, number in zip(FOCAL_MM, (6, 10), strict=True):
-        head, figure = nominal_head(lens), FIGURES[number]
-        views = simulate_views(head, profile, planned(lens, 0), pixel_noise=0.03, rng=rng)
-        calibrations[lens] = found = calibrate_sequentially(views)
-        seen = observe_points(head, profile, figure, np.arange(10.0), pixel_noise=0.03, rng=rng)
-        replays[number] = estimate(found.head, figure, seen)
-    heads = {lens: found.head for lens, found in calibrations.items()}
-    text = report(Reproduction(profile, 0, calibrations, heads, replays))
-    table = markdown_tables(text)["Calibrations"]
-    assert [row[0] for row in table[1:]] == [lens for lens in FOCAL_MM for _ in range(4)]
-    for lens, found in calibrations.items():
-        assert f"\nStatic stereo with the {lens} lens: {found.stereo_views} views" in text
 
 
 @pytest.fixture

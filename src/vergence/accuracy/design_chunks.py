@@ -67,14 +67,14 @@ def sweep(
 
 
 def digest(chunk: DesignSettings) -> str:
-    """Return a name for all that a chunk depends on, including the code but not the prices."""
+    """Hash what a chunk depends on, with the code and without the prices."""
     text = f"{_code()} {chunk.designs.model_dump_json()} {chunk.workspace.model_dump_json()}"
     return hashlib.blake2b(text.encode(), digest_size=12).hexdigest()
 
 
 @cache
 def _code() -> str:
-    """Return a digest of this package's source files."""
+    """Hash this package's source files."""
     found = hashlib.blake2b(digest_size=12)
     for file in sorted(Path(__file__).parents[1].rglob("*.py")):
         found.update(file.read_bytes())

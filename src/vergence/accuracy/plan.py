@@ -66,7 +66,6 @@ def plan(
     views: int = 10,
     limits_rad: ArrayLike = LIMIT_RAD,
     distances_m: tuple[float, ...] = DISTANCES_M,
-    candidates: tuple[int, int] = CANDIDATES,
     seed: int = 0,
     progress: Progress = silent,
 ) -> Plan:
@@ -79,15 +78,14 @@ def plan(
         limits_rad: to either side, one number: the maximum turn of each joint; or (r,) the largest
             value of each reading, which differs before a gear.
         distances_m: of the points from the middle of the head.
-        candidates: numbers of places of the board that are tried, and directions of gaze at each.
         seed: of the random candidates.
         progress: see vergence.progress.
 
     Raises:
         VergenceError: no covariance is stated, the head has one eye, no board can be seen, the
-            workspace is out of the eyes' reach, or there are fewer candidates than views.
+            workspace is out of the eyes' reach, or more views than candidates are asked for.
     """
-    places, gazes = candidates
+    places, gazes = CANDIDATES
     if not 1 <= views <= places * gazes:
         raise VergenceError(
             f"A plan has one view or more, of the {places} places of the board x {gazes} "
@@ -100,11 +98,6 @@ def plan(
     points = workspace(head, pair, limits, names=known.names, distances_m=distances_m)
     rng = np.random.default_rng(seed)
     tried = admissible_views(head, board, limits, rng, places=places, gazes=gazes)
-    if len(tried.placement) < views:
-        raise VergenceError(
-            f"In {len(tried.placement)} of the candidates the board is seen, fewer than the "
-            f"{views} views to plan: try more candidates."
-        )
     pixel_px = float(np.sqrt(np.mean(pixel_stds(head, None) ** 2)))
     (N,) = view_information(
         head,

@@ -24,8 +24,6 @@ CORNERS_AT_A_TIME = 20_000
 """Number of corners that are linearised together: their derivatives take 50 MB for each camera, and
 those of all views of a board of 10,000 corners gigabytes."""
 
-OF_READINGS = "A plan says which joint readings to take;"
-
 
 @dataclass(frozen=True, eq=False)
 class Knowledge:
@@ -44,7 +42,9 @@ def known_of(head: HeadCalibration) -> Knowledge:
     accuracy = head.accuracy
     assert accuracy is not None
     if accuracy.eye_motion == "poses":
-        raise VergenceError(f"{OF_READINGS} this head was calibrated with measured eye poses.")
+        raise VergenceError(
+            "A plan is of joint readings; this head was calibrated with measured eye poses."
+        )
     scale = np.sqrt(np.diag(accuracy.covariance))
     # A covariance may hold combinations of parameters fixed.
     values, directions = np.linalg.eigh(accuracy.covariance / np.outer(scale, scale))

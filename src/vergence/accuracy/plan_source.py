@@ -9,14 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence.accuracy.plan import largest_readings
-from vergence.accuracy.plan_information import OF_READINGS
 from vergence.calibration.calibrate import calibrate
 from vergence.data.description import MAX_SQUARE_M
 from vergence.data.reader import load_dataset
 from vergence.errors import VergenceError, check_seed
 from vergence.geometry.board import Board, Chessboard
 from vergence.geometry.head import HeadCalibration, load_head
-from vergence.geometry.kinematics import EYES
 from vergence.progress import Progress
 
 
@@ -47,13 +45,6 @@ def head_and_board(
     shown = None if board is None else _chessboard(*board)
     if os.path.isdir(source):
         data = load_dataset(source)
-        cameras = data.description.cameras
-        if data.T_base_eye is not None:
-            raise VergenceError(f"{OF_READINGS} {data.folder} has measured eye poses.")
-        if len({camera.eye for camera in cameras.values()}) < len(EYES):
-            raise VergenceError(
-                f"A plan is for points that both eyes see; {data.folder} has {', '.join(cameras)}."
-            )
         largest_readings(data.description.head_kinematics, limits_rad)
         found = calibrate(data, progress=progress)
         if found.accuracy.void:

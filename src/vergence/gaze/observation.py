@@ -130,7 +130,7 @@ def _stuck_joints(
 
 
 def _readings(settings: GazeSettings, frame: Frame) -> Array:
-    """Return a frame's readings (j,) [rad]; VergenceError if they are not those of this head."""
+    """Check a frame's readings (j,) [rad]."""
     eyes = checked_readings(settings.calibration.kinematics, frame.eye_angles, one_posture=True)
     return np.concatenate([checked_neck_angles(frame.neck_angles), eyes])
 
@@ -153,7 +153,7 @@ def readings_at_image(settings: GazeSettings, state: GazeState, frame: Frame) ->
 
 
 def posture_at_image(settings: GazeSettings, state: GazeState, frame: Frame) -> Array:
-    """Return the joint angles (j,) [rad] at the time of the image, by the commands.
+    """Compute the joint angles (j,) [rad] at the time of the image from the commands.
 
     Set points have neither the noise nor the gains of readings, which a loop that is closed by the
     image does not need. Readings are better for the heavy neck, which lags, and for stuck joints.
