@@ -1,25 +1,18 @@
-"""Whether the stated covariances and budgets are true of rendered replays.
+"""Check stated covariances and error budgets against rendered replays.
 
 Replays the motions of the paper's figures on rendered images with several error profiles,
 calibrated by the paper's method, and prints for each figure
 
-- the mean squared Mahalanobis distance of located points from the truth, as a multiple of its three
-  degrees of freedom: with the true head, so that only the noise of pixels and readings is left. The
-  noise of the readings is the profile's; that of the four pixel coordinates is measured in one half
-  of the samples and used in the other, and the 95 % band holds what both halves leave uncertain;
-- predicted / observed spread over the motion, x, y and z: by `accuracy.budget`, with all that is
-  wrong with the calibration taken from the truth as known errors; where readings are exact, also
-  that in depth of the calibration's errors alone and of the pixels' alone, and the correlation of
-  these two over the motion, of which the budget assumes none;
-- predicted / observed spread in depth by the budget as a user gets it, who knows the profile only;
-- where there are several heads, the second of these with the squared spreads of all together: by
-  chance the errors of one head and of the detector add up or cancel, and over heads they do not.
+- the mean squared Mahalanobis distance of points located with the true head, over its three degrees
+  of freedom. The noise of the four pixel coordinates is measured in one half of the samples and
+  used in the other, and the 95 % band holds what both halves leave uncertain;
+- predicted / observed spread over the motion, x, y and z, by `accuracy.budget` with all errors of
+  the calibration known; where readings are exact, also that in depth of these errors alone;
+- predicted / observed spread in depth by the budget of a user, who knows the profile only.
 
-Samples are taken at random times, one in each of as many equal parts of the motion. At regular
-times postures come again, and where pictures have no noise a detector errs in the same way each
-time: of 320 samples of Fig. 8 only 80 would be distinct.
-
-Measurements are kept in a folder, and a second run goes on where the first one was stopped.
+Samples are taken at random times, one in each of as many equal parts of the motion: at regular
+times postures recur, and errors of a detector with them. Measurements are kept in a folder, and a
+second run continues a stopped one.
 
     python benchmarks/consistency.py [--samples 640] [--folder runs/consistency]
 """
@@ -144,23 +137,17 @@ def main(
         profiles: error profiles.
     """
     for name in profiles:
-        profile, spreads = load_profile(name), np.empty((2, len(seeds), len(FIGURES), 3))
-        for k, seed in enumerate(seeds):
-            own = folder / f"{name}-{samples}-{seed}"
-            own.mkdir(parents=True, exist_ok=True)
-            measure(own, profile, seed, samples)
-            for n, figure in enumerate(FIGURES.values()):
-                line, spreads[0, k, n], spreads[1, k, n] = found(own, profile, figure)
-                print(f"{line} seed {seed}" if len(seeds) > 1 else line, flush=True)
-        predicted, observed = np.sqrt((spreads**2).mean(axis=1))
-        for figure, together in zip(FIGURES.values(), predicted / observed, strict=True):
-            if len(seeds) > 1:
-                ratios = " ".join(f"{each:.2f}" for each in together)
-                print(f"{name:<10} Fig. {figure.number:<2} {len(seeds)} heads together: {ratios}")
+        profile = load_profile(name)
+        for seed in seeds:
+            kept = folder / f"{name}-{samples}-{seed}"
+            kept.mkdir(parents=True, exist_ok=True)
+            measure(kept, profile, seed, samples)
+            for figure in FIGURES.values():
+                print(f"{line_of(kept, profile, figure)} seed {seed}", flush=True)
 
 
-def found(folder: Path, profile: ErrorProfile, figure: Figure) -> tuple[str, Array, Array]:
-    """Return a line about a figure, and the predicted and the observed spread (3,) [m]."""
+def line_of(folder: Path, profile: ErrorProfile, figure: Figure) -> str:
+    """Describe a figure in one line."""
     truth = with_sensors(load_head(folder / f"truth-{figure.lens}.json"), profile.joints)
     used = load_head(folder / f"calibration-{figure.lens}.json")
     with np.load(folder / f"fig{figure.number}.npz") as file:
@@ -181,38 +168,25 @@ def found(folder: Path, profile: ErrorProfile, figure: Figure) -> tuple[str, Arr
         (found,) = budget(used, at, **motion, sources=sources, cameras=WIDE)
         return found.total.spread_m
 
-    predicted_m = spread_m(errors, white)
-    with_truth = predicted_m / observed.std_m
+    with_truth = spread_m(errors, white) / observed.std_m
     depth = spread_m(*profile_sources(used, profile))[0] / observed.std_m[0]
-    apart = ""
-    if not profile.joints.noise_deg:
-        by_calibration, by_pixels = depth_errors(used, seen)
-        apart = (
-            f" (calibration {spread_m(errors)[0] / by_calibration.std():.2f}, "
-            f"pixels {spread_m(white)[0] / by_pixels.std():.2f}, "
-            f"correlation {np.corrcoef(by_calibration, by_pixels)[0, 1]:.2f})"
+    alone = ""
+    if not profile.joints.noise_deg:  # depths err by the calibration alone where pixels are true
+        exact, _ = triangulate_at(
+            used,
+            left=seen["true_pixels"][0],
+            right=seen["true_pixels"][1],
+            joints=seen["joints"],
+            cameras=WIDE,
         )
-    pixels = " ".join(f"{each:.3f}" for each in noise_px)
-    spread = " ".join(f"{1e3 * each:.2f}" for each in observed.std_m)
-    line = (
+        alone = f" (calibration {spread_m(errors)[0] / np.nanstd(exact[:, 0]):.2f})"
+    return (
         f"{profile.name:<10} Fig. {figure.number:<2} d2/3 {ratio:.3f} (1 +- {width:.3f}), "
-        f"pixels {pixels} px; spread {spread} mm, "
-        f"with the truth {' '.join(f'{each:.2f}' for each in with_truth)}{apart}, "
+        f"pixels {' '.join(f'{each:.3f}' for each in noise_px)} px; "
+        f"spread {' '.join(f'{1e3 * each:.2f}' for each in observed.std_m)} mm, "
+        f"with the truth {' '.join(f'{each:.2f}' for each in with_truth)}{alone}, "
         f"by the profile {depth:.2f}"
     )
-    return line, predicted_m, observed.std_m
-
-
-def depth_errors(used: HeadCalibration, seen: dict[str, Array]) -> tuple[Array, Array]:
-    """Return depths (n,) [m] as the calibration errs, and what pixels add to them, of the n samples
-    that both images show, whose readings are exact.
-    """
-    found, exact = (
-        triangulate_at(used, left=left, right=right, joints=seen["joints"], cameras=WIDE)[0][:, 0]
-        for left, right in (seen["pixels"], seen["true_pixels"])
-    )
-    both = np.isfinite(found)
-    return exact[both], (found - exact)[both]
 
 
 if __name__ == "__main__":

@@ -123,7 +123,7 @@ def _detect_charuco(grey: np.ndarray, board: Charuco) -> Array | None:
     if found is None or numbers is None or not len(numbers):
         return None
     corners = np.full((board.rows * board.columns, 2), np.nan)
-    corners[np.ravel(numbers)] = (np.reshape(found, (-1, 2)) + 0.5) / scale - 0.5
+    corners[np.asarray(numbers, int).ravel()] = (np.reshape(found, (-1, 2)) + 0.5) / scale - 0.5
     grid = corners.reshape(board.rows, board.columns, 2)
     # Without neighbours the length of a corner's strips is unknown.
     isolated = ~np.any([np.isfinite(a + b).all(axis=-1) for a, b in adjacent_sides(grid)], axis=0)

@@ -48,7 +48,7 @@ def marker_detector(dictionary: str, marker_id: int) -> Detector:
             copies = [q for q, number in zip(quads, numbers, strict=False) if number == marker_id]
             if copies:
                 largest = max(copies, key=cv2.contourArea)
-                corners = largest.reshape(4, 2) + np.array([columns.start, rows.start], float)
+                corners = np.add(largest.reshape(4, 2), [columns.start, rows.start], dtype=float)
                 module_px = np.sqrt(cv2.contourArea(largest)) / modules
                 centre = _centre(corners, camera)
                 std_px = float(np.hypot(_LEAST_STD_PX, _STD_MODULES / module_px))

@@ -57,7 +57,8 @@ def best_of_cells(view: np.ndarray, inside: np.ndarray) -> Array:
 
 def _cells(values: np.ndarray, side_px: float) -> np.ndarray:
     """Divide values (H, W) into cells of about this side: (rows, height, columns, width)."""
-    side = float(np.clip(side_px, *(limit / 2 for limit in _CELL_LIMITS_PX)))
+    smallest, largest = (limit / 2 for limit in _CELL_LIMITS_PX)
+    side = min(max(float(side_px), smallest), largest)
     # Height and width are whole pixels with about the wanted area.
     height = round(side)
     width = round(side**2 / height)
