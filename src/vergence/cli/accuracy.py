@@ -50,7 +50,7 @@ def plan(
     from vergence.cli.accuracy_reports import plan_report
     from vergence.cli.outputs import check_outputs
     from vergence.data.description import DESCRIPTION, FRAMES
-    from vergence.viewer.plots.plan import save_plan
+    from vergence.viewer.plots.accuracy import save_plan
 
     check_outputs(json, figure=figure, inputs=[source, source / DESCRIPTION, source / FRAMES])
     check_plan(views, limits_deg, distances, seed)
@@ -188,7 +188,7 @@ def budget(
     report = budget_report(found)
     report.write_json(json)
     if figure is not None:
-        from vergence.viewer.plots.budget import save_budget
+        from vergence.viewer.plots.accuracy import save_budget
 
         save_budget(figure, found.budgets, f"{motion} motion")
     return report

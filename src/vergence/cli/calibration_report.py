@@ -9,13 +9,10 @@ import numpy as np
 
 from vergence.calibration.calibrate import CalibrationResult
 from vergence.calibration.lens_map import lens_maps
-from vergence.calibration.observations import NO_CORNERS
 from vergence.calibration.summary import point_accuracy, verdict
 from vergence.cli.report import Part, Report, Table
 from vergence.data.dataset import Dataset
-from vergence.errors import counted
 from vergence.files import REPORT, write_whole
-from vergence.findings import select
 from vergence.geometry.head import main_pair
 from vergence.geometry.kinematics import EYES, pan_tilt_along
 from vergence.geometry.parameters import parameter_values
@@ -29,9 +26,9 @@ RESULTS = (
     REPORT, "dataset.rrd", "coverage.png", "residuals.png", "lenses.png", "worst_views.png"
 )  # fmt: skip
 """Files of a report. The paper's method makes only the first three."""
-FAILURES_NAMED = 20
 MARKS = {"void": "VOID: ", "warning": "Warning: ", "note": ""}
-WORST_SHOWN, WORST_LISTED = 4, 10
+FINDINGS_LISTED, VIEWS_SHOWN, VIEWS_LISTED = 30, 4, 10
+"""Largest numbers of findings, and of worst views, in report.md; the JSON file has all findings."""
 
 
 def calibration_report(result: CalibrationResult) -> Report:
@@ -78,72 +75,15 @@ def write_calibration_report(
     VergenceError if they cannot be written, or an image cannot be read.
     """
     progress("writing the report", 0, len(dataset))
-    pictures = _save_pictures(folder, result, dataset)
-    lines = (f"{line}  " for part in report.parts for line in str(part).splitlines())
-    details = _details(result, dataset, pictures)
-    text = replace(report, parts=("\n".join(lines),), details=details).markdown()
-    record_dataset(folder / "dataset.rrd", dataset, result, report=text, progress=progress)
-    write_whole(folder / REPORT, text)
-
-
-def _save_pictures(folder: Path, result: CalibrationResult, dataset: Dataset) -> list[str]:
-    """Draw the pictures of a report, and return the lines of markdown that show them."""
-    seen, head = result.observations, result.head
-    looking = np.moveaxis(seen.eye_poses()[..., :3, 0], -1, 0)  # an eye's x axis is ahead
-    pan_tilt = np.stack(pan_tilt_along(*looking), axis=-1)
-    angles = dict(zip(EYES, np.moveaxis(pan_tilt, 1, 0), strict=True))
-    eyes = {eye: angles[eye] for eye in dataset.description.eyes}
-    plots.save_coverage(folder / "coverage.png", seen.corners, seen.sizes, eyes)
-    shown = ["![coverage](coverage.png)"]
-    if result.estimate is None:
-        return shown
-    errors = result.estimate.residuals_px
-    corners = {name: seen.corners[name] for name in errors}
-    of_camera = {name: angles[head.cameras[name].eye] for name in errors}
-    plots.save_residuals(folder / "residuals.png", corners, errors, seen.sizes, of_camera)
-    plots.save_lenses(folder / "lenses.png", lens_maps(head, corners, errors), seen.sizes)
-    views = {}
-    for size, name, row in _worst_views(result)[:WORST_SHOWN]:
-        image = dataset.image(name, row)
-        if image is not None:
-            title = f"line {dataset.lines[row]}, {name}: rms {size:.3f} px"
-            views[title] = (image, corners[name][row], errors[name][row])
-    plots.save_views(folder / "worst_views.png", views)
-    return [*shown, "![residuals](residuals.png)", "![worst views](worst_views.png)"]
-
-
-def _worst_views(result: CalibrationResult) -> list[tuple[float, str, int]]:
-    """Return residual (root mean square, px), camera and row of all views, the worst first."""
-    if result.estimate is None:
-        return []
-    found = [
-        (float(size), name, row)
-        for name, errors in result.estimate.residuals_px.items()
-        for row, size in enumerate(rms_by_view(errors))
-        if np.isfinite(size)
-    ]
-    return sorted(found, reverse=True)
-
-
-def _details(result: CalibrationResult, dataset: Dataset, pictures: list[str]) -> list[Part]:
-    """Return the sections of report.md after the summary."""
-    failures = select(result.findings, "note", code=NO_CORNERS)
-    findings = [each for each in result.findings if each not in failures]
-    images: list[Part] = ["All of them, with corners and residuals: `rerun dataset.rrd`", *pictures]
+    worst = _worst_views(result)
+    pictures = _save_pictures(folder, result, dataset, worst[:VIEWS_SHOWN])
     rows = [
         (f"line {dataset.lines[row]}", name, f"{size:.3f}")
-        for size, name, row in _worst_views(result)[:WORST_LISTED]
+        for size, name, row in worst[:VIEWS_LISTED]
     ]
-    if rows:
-        images.append(Table(("worst views", "camera", "residual [px]"), rows))
-    if failures:
-        listed = [f"- {failure}" for failure in failures[:FAILURES_NAMED]]
-        if len(failures) > FAILURES_NAMED:
-            listed.append(f"- and {len(failures) - FAILURES_NAMED} more, all in the JSON file")
-        images += [f"{counted(len(failures), 'image')} gave no corners:", "\n".join(listed)]
-    return [
+    details = [
         "## Findings",
-        "\n".join(f"- {MARKS[each.severity]}{each}" for each in findings) or "None.",
+        _findings(result),
         "## Accuracy of points",
         *_points(result),
         "## Lenses",
@@ -151,18 +91,71 @@ def _details(result: CalibrationResult, dataset: Dataset, pictures: list[str]) -
         "## Parameters",
         *_parameters(result),
         "## Images",
-        *images,
+        "All of them, with corners and residuals: `rerun dataset.rrd`",
+        *(f"![{name}]({name}.png)" for name in pictures),
+        *([Table(("worst views", "camera", "residual [px]"), rows)] if rows else []),
     ]
+    summary = result.summary().replace("\n", "  \n")
+    text = replace(report, parts=(summary,), details=details).markdown()
+    record_dataset(folder / "dataset.rrd", dataset, result, report=text, progress=progress)
+    write_whole(folder / REPORT, text)
+
+
+def _worst_views(result: CalibrationResult) -> list[tuple[float, str, int]]:
+    """Return residual (root mean square, px), camera and row of all views, the worst first."""
+    residuals = {} if result.estimate is None else result.estimate.residuals_px
+    found = [
+        (float(size), name, row)
+        for name, errors in residuals.items()
+        for row, size in enumerate(rms_by_view(errors))
+        if np.isfinite(size)
+    ]
+    return sorted(found, reverse=True)
+
+
+def _save_pictures(
+    folder: Path,
+    result: CalibrationResult,
+    dataset: Dataset,
+    worst: list[tuple[float, str, int]],
+) -> list[str]:
+    """Draw the pictures of a report, and return the names of those in its last section."""
+    seen, head = result.observations, result.head
+    looking = np.moveaxis(seen.eye_poses()[..., :3, 0], -1, 0)  # an eye's x axis is ahead
+    pan_tilt = np.stack(pan_tilt_along(*looking), axis=-1)
+    angles = dict(zip(EYES, np.moveaxis(pan_tilt, 1, 0), strict=True))
+    eyes = {eye: angles[eye] for eye in dataset.description.eyes}
+    plots.save_coverage(folder / "coverage.png", seen.corners, seen.sizes, eyes)
+    if result.estimate is None:
+        return ["coverage"]
+    errors = result.estimate.residuals_px
+    corners = {name: seen.corners[name] for name in errors}
+    of_camera = {name: angles[head.cameras[name].eye] for name in errors}
+    plots.save_residuals(folder / "residuals.png", corners, errors, seen.sizes, of_camera)
+    plots.save_lenses(folder / "lenses.png", lens_maps(head, corners, errors), seen.sizes)
+    views = {}
+    for size, name, row in worst:
+        image = dataset.image(name, row)
+        if image is not None:
+            title = f"line {dataset.lines[row]}, {name}: rms {size:.3f} px"
+            views[title] = (image, corners[name][row], errors[name][row])
+    plots.save_views(folder / "worst_views.png", views)
+    return ["coverage", "residuals", "worst_views"]
+
+
+def _findings(result: CalibrationResult) -> str:
+    lines = [f"- {MARKS[each.severity]}{each}" for each in result.findings[:FINDINGS_LISTED]]
+    if (more := len(result.findings) - FINDINGS_LISTED) > 0:
+        lines.append(f"- and {more} more, all in the JSON file")
+    return "\n".join(lines) or "None."
 
 
 def _points(result: CalibrationResult) -> list[Part]:
     rows = [(f"{d:g}", f"{a:.2f}", f"{b:.2f}") for d, a, b in point_accuracy(result.head)]
-    if not rows and result.accuracy.method == "paper":
-        return ["Not stated: see `vergence calibrate --method bundle`."]
     if not rows:
         return [
-            "Not stated: it is for points that both eyes see from 0.3 to 1 m, of heads of two eyes "
-            "with joint readings."
+            "Not stated: it needs bundle adjustment, joint readings, and two eyes that see points "
+            "from 0.3 to 1 m."
         ]
     parts: list[Part] = [
         "Standard deviation of a point ahead that the main cameras locate, averaged over "
@@ -184,55 +177,42 @@ def _lenses(result: CalibrationResult) -> list[Part]:
         held_out = "not compared" if error is None else f"{error:.4f}"
         runner_up = "" if other is None else f"{other}, {choice.held_out_px[other]:.4f}"
         rows.append((name, choice.model, held_out, runner_up))
-    parts: list[Part] = [
+    picture = [] if result.estimate is None else ["![lenses](lenses.png)"]
+    return [
         "A lens model is selected by the Bayesian information criterion; a simpler model that "
         "predicts held-out views as well is preferred. Models are not compared with the paper's "
         "method, where a model was stated, or below ten views of the board. Errors are rms values "
         "of one coordinate of a corner in held-out views.",
         Table(("camera", "lens model", "held out [px]", "runner-up, held out [px]"), rows),
+        *picture,
     ]
-    if result.estimate is not None:
-        parts.append("![lenses](lenses.png)")
-    return parts
 
 
 def _parameters(result: CalibrationResult) -> list[Part]:
-    stds = _stds(result)
-    rows = [
+    """Return tables of the parameters and of the poses."""
+    head, stds = result.head, _stds(result)
+    parameters = [
+        (name, "" if value is None else f"{value:.6g}", f"{stds[name]:.2g}")
+        for name, value in parameter_values(head).items()
+        if name in stds
+    ]
+    T = {f"{name}.T_eye_cam": mounted.T_eye_cam for name, mounted in head.cameras.items()}
+    if main_pair(head) is not None:
+        T["T_rbase_lbase"] = head.T_rbase_lbase
+    poses = [
         (
             name,
-            "" if value is None else f"{value:.6g}",
-            f"{stds[name]:.2g}" if name in stds else "fixed",
+            " ".join(f"{x:.3f}" for x in 1e3 * pose[:3, 3]),
+            " ".join(f"{x:.4f}" for x in np.degrees(rotvec(pose[:3, :3]))),
         )
-        for name, value in parameter_values(result.head).items()
+        for name, pose in T.items()
     ]
     return [
-        "Angles in radians, lengths in metres, focal lengths and centres in pixels, time in "
-        "seconds.",
-        Table(("parameter", "value", "std"), rows),
-        *_poses(result),
+        "Estimated parameters: angles in radians, lengths in metres, focal lengths and centres in "
+        "pixels, time in seconds.",
+        Table(("parameter", "value", "std"), parameters),
+        Table(("pose", "translation x y z [mm]", "rotation vector x y z [deg]"), poses),
     ]
-
-
-def _poses(result: CalibrationResult) -> list[Part]:
-    """Return the poses of the cameras in their eyes, and of the eyes relative to each other."""
-    head = result.head
-    poses = {f"{name}.T_eye_cam": mounted.T_eye_cam for name, mounted in head.cameras.items()}
-    distance = []
-    if main_pair(head) is not None:
-        poses["T_rbase_lbase"] = head.T_rbase_lbase
-        baseline_mm = 1e3 * np.linalg.norm(head.T_rbase_lbase[:3, 3])
-        distance = [f"The eyes' rotation centres stand {baseline_mm:.3f} mm apart."]
-    rows = [
-        (
-            name,
-            " ".join(f"{x:.3f}" for x in 1e3 * T[:3, 3]),
-            " ".join(f"{x:.4f}" for x in np.degrees(rotvec(T[:3, :3]))),
-        )
-        for name, T in poses.items()
-    ]
-    heading = ("pose", "translation x y z [mm]", "rotation vector x y z [deg]")
-    return [Table(heading, rows), *distance]
 
 
 def _stds(result: CalibrationResult) -> dict[str, float]:

@@ -19,7 +19,7 @@ from vergence.accuracy.design_sweep import (
 )
 from vergence.cli.report import Report, Table
 from vergence.files import REPORT, whole_file, write_whole
-from vergence.viewer.plots.design import save_design, save_properties
+from vergence.viewer.plots.accuracy import save_design, save_properties
 
 TITLE = "Design of a head"
 RESULTS = ("sweep.npz", "design.png", "properties.png", "design.json", REPORT)

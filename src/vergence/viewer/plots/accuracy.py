@@ -1,13 +1,19 @@
-"""Pictures of a sweep over designs: a map of the workspace, curves, and cost against accuracy."""
+"""Pictures of predicted accuracy: error budgets, plans of views, and sweeps over designs."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
+from vergence.accuracy.budget import Budget
 from vergence.accuracy.design_settings import AXES
 from vergence.accuracy.design_sweep import Sweep, at_distance, by_source, values_of
+from vergence.accuracy.plan import Plan
+from vergence.geometry.board import corner_points
+from vergence.geometry.head import T_head_base
+from vergence.geometry.se3 import transform
 from vergence.viewer.plots.canvas import BLUE, GREEN, RED, label, panels, plain_log, save
 
 MAP_STEPS = 41
@@ -17,6 +23,57 @@ UNITS = ("mm", "px", "deg", "ms")
 """At the end of the name of a property."""
 CURVES = 7
 """Baselines that are drawn at most."""
+
+
+def save_budget(path: Path, budgets: Sequence[Budget], title: str) -> None:
+    """Draw for each point the standard deviation by source, along x, y and z.
+
+    Full bars differ between samples, pale ones are shared by all. Along the axis lengths are
+    standard deviations: they add up as squares, not as lengths.
+    """
+    canvas, all_axes = panels(
+        len(budgets),
+        f"Error budget, {title}; pale: what all samples share",
+        columns=min(2, len(budgets)),
+    )
+    for axes, one in zip(all_axes, budgets, strict=True):
+        parts = [*one.parts, one.total]
+        places = np.arange(len(parts))[::-1]
+        for k, colour in enumerate((BLUE, GREEN, RED)):
+            height, at = 0.26, places + 0.26 * (1 - k)
+            spread, shared = (
+                np.array([1e3 * abs(getattr(part, name)[k]) for part in parts])
+                for name in ("spread_m", "shared_m")
+            )
+            axes.barh(at, np.hypot(spread, shared), height, color=colour, alpha=0.3)
+            axes.barh(at, spread, height, color=colour, label=["x = depth", "y", "z"][k])
+        axes.set_yticks(places, [part.name for part in parts], fontsize=9)
+        x, y, z = one.point_m
+        title = f"at ({x:g}, {y:g}, {z:g}) m"
+        label(axes, title, legend=True, xlabel="standard deviation [mm]", axisbelow=True)
+    save(canvas, path)
+
+
+def save_plan(path: Path, plan: Plan) -> None:
+    """Draw a plan into a PNG file."""
+    canvas, (above, side, curve) = panels(3, "Views to record next", columns=3)
+    T = T_head_base(plan.head, "left")
+    grid = corner_points(plan.board).reshape(plan.board.rows, plan.board.columns, 3)
+    outline = np.array([grid[0, 0], grid[0, -1], grid[-1, -1], grid[-1, 0], grid[0, 0]])
+    boards = transform((T @ plan.views.T_lbase_target)[:, None], outline)
+    points = transform(T, plan.workspace.points)
+    for axes, (a, b), title in ((above, (1, 0), "from above"), (side, (0, 2), "from the side")):
+        axes.plot(boards[..., a].T, boards[..., b].T, color=BLUE, linewidth=1)
+        axes.plot(points[:, a], points[:, b], ".", color=GREEN, label="points of the workspace")
+        axes.plot(0, 0, "o", color=RED, label="head")
+        label(axes, title, xlabel=f"{'xyz'[a]} [m]", ylabel=f"{'xyz'[b]} [m]", aspect="equal")
+    above.invert_xaxis()  # y, to the left
+    side.legend(fontsize=9, frameon=False, loc="lower left", bbox_to_anchor=(0, 1.08))
+    largest = 1e3 * np.array([plan.before_m.max(), *plan.steps_m])
+    curve.plot(np.arange(len(largest)), largest, ".-", color=BLUE)
+    title = "largest standard deviation of a point, by the calibration"
+    label(curve, title, xlabel="views recorded", ylabel="[mm]", ylim=(0, None))
+    save(canvas, path)
 
 
 def save_design(
