@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 import tyro
 
+from cards import Card, marker_card
 from other_heads import shared_tilt, tilt_before_pan
 from vergence.demos.experiment import p95
 from vergence.demos.foveate import run_trial, targets
@@ -25,7 +26,6 @@ from vergence.gaze.state import GazeSettings
 from vergence.geometry.kinematics import Kinematics
 from vergence.twin.head import Twin
 from vergence.twin.profile import load_profile
-from vergence.twin.scene.card import Card, marker_card
 from vergence.twin.simulated_robot import calibrate_twin, unoccluded
 from vergence.vision.detector import Detector
 from vergence.vision.marker import marker_detector
@@ -89,7 +89,9 @@ def final_errors(
     Settings with a calibration may be given; None: the twin is calibrated.
     """
     card, detect, alone, joints = KINDS[kind]
-    with Twin(load_profile(profile), seed=seed, card=card, kinematics=joints) as twin:
+    with Twin(
+        load_profile(profile), seed=seed, furnish=card and card.put, kinematics=joints
+    ) as twin:
         settings = calibrate_twin(twin, seed) if calibration is None else calibration
         settings = replace(settings, objects={"object": detect})
         settings = wide_alone(settings) if alone else settings

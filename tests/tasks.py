@@ -6,7 +6,7 @@ from pathlib import Path
 
 import cv2
 
-from vergence.files import whole_file, write_whole
+from vergence.files import whole_file
 from vergence.progress import Progress
 
 
@@ -14,11 +14,6 @@ def count_up(name: str, steps: int, progress: Progress) -> tuple[str, int]:
     for step in range(steps):
         progress(name, step, steps)
     return name, os.getpid()
-
-
-def write(path: Path, progress: Progress) -> Path:
-    write_whole(path, "whole")
-    return path
 
 
 def fail(error: Exception, progress: Progress) -> None:

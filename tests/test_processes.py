@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from tasks import count_up, end, fail, opencv_threads, write, write_for_ever
+from tasks import count_up, end, fail, opencv_threads, write_for_ever
 from vergence.errors import VergenceError
-from vergence.files import finished_files, results_folder
+from vergence.files import results_folder
 from vergence.parallel import process_count, run_tasks
 
 
@@ -40,13 +40,6 @@ def test_every_result_and_step_arrives(jobs):
             (name, k, count) for k in range(count)
         ]
     assert (set(results.values()) == {os.getpid()}) == (jobs == 1)
-
-
-def test_files_that_a_task_writes_count_as_written(tmp_path):
-    paths, results = [tmp_path / "a", tmp_path / "b"], []
-    run_tasks([partial(write, path) for path in paths], results.append, jobs=2)
-    assert set(results) == set(paths)
-    assert set(paths) <= set(finished_files)
 
 
 @pytest.mark.parametrize("error", [VergenceError("One sentence."), ValueError("A slip.")])

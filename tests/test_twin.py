@@ -85,28 +85,6 @@ def test_the_same_seed_builds_the_same_head_and_another_seed_another():
         assert np.abs(a.intrinsics.matrix - c.intrinsics.matrix).max() > 0.1
 
 
-def test_profiles_share_their_random_numbers():
-    nominal = nominal_head("2.8mm")
-    small, large = (
-        as_built_head(nominal, ErrorProfile(mounting=Mounting(translation_mm=mm)), 3)
-        for mm in (1.0, 2.0)
-    )
-    exact, once, twice = (
-        head.cameras["right_narrow"].T_eye_cam[:3, 3] for head in (nominal, small, large)
-    )
-    np.testing.assert_allclose(2 * (once - exact), twice - exact, atol=1e-15)
-
-
-def test_without_imperfection_the_head_is_the_nominal_one():
-    nominal = nominal_head("4.0mm")
-    truth = as_built_head(nominal, ErrorProfile(), 5)
-    np.testing.assert_array_equal(truth.T_rbase_lbase, nominal.T_rbase_lbase)
-    for name in CAMERAS:
-        a, b = truth.cameras[name], nominal.cameras[name]
-        np.testing.assert_allclose(a.T_eye_cam, b.T_eye_cam, atol=1e-16)
-        np.testing.assert_array_equal(a.intrinsics.matrix, b.intrinsics.matrix)
-
-
 def test_the_lenses_have_the_papers_focal_lengths():
     for lens, focal in (("2.8mm", 280.0), ("4.0mm", 400.0)):
         cameras = nominal_head(lens).cameras
@@ -200,23 +178,6 @@ def test_backlash_shows_when_a_posture_is_reached_from_both_sides(make: Make):
     np.testing.assert_allclose(errors[0] - errors[1], 0.5, atol=0.05)
 
 
-def test_readings_of_a_coarse_encoder_come_in_steps(make: Make):
-    twin = make(ErrorProfile(joints=Joints(counts_per_turn=1000)), seed=0)
-    step = 2 * np.pi / 1000
-    for time_s in (0.1, 0.2, 0.3):
-        twin.advance(time_s, sweep)
-        angles = twin.expose(NOTHING_SEEN).frame.eye_angles
-        np.testing.assert_allclose(angles / step, np.round(angles / step), atol=1e-9)
-        assert np.abs(angles - twin.true_angles()[EYES]).max() <= step / 2 + 1e-12
-
-
-def test_the_object_stands_where_it_was_put(make: Make):
-    twin = make(EVERYTHING, seed=2)
-    where = np.array([0.6, 0.17, -0.04])
-    twin.place_object(where)
-    np.testing.assert_allclose(twin.true_object(), where, atol=1e-12)
-
-
 def test_the_eyes_follow_their_commands(perfect: Twin):
     goal = np.array([0.1, -0.1, 0.2, 0.25, -0.2, -0.15, 0.1])
     perfect.restart(0)
@@ -232,12 +193,6 @@ def test_the_motion_does_not_depend_on_where_it_is_stopped(perfect: Twin):
             perfect.advance(until_s, sweep)
         ways.append(perfect.true_angles())
     np.testing.assert_array_equal(*ways)
-
-
-def test_its_cameras_leave_the_model_as_it_was(perfect: Twin):
-    fresh = compile_head(perfect.truth, overscan_sizes(perfect.truth))
-    assert perfect.model.vis.global_.offwidth == fresh.vis.global_.offwidth
-    assert perfect.model.vis.quality.offsamples == fresh.vis.quality.offsamples
 
 
 def hide_what_lies_outside_the_room(renderer: mujoco.Renderer) -> None:

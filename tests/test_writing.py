@@ -7,13 +7,9 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from xml.etree import ElementTree
 
 import pytest
-from PIL import Image
-from rerun.chunk import RrdReader
 
-from mutated_files import stated_head
 from recordings import small_dataset
 from vergence import cli
 from vergence.calibration import calibrate
@@ -30,8 +26,6 @@ from vergence.files import (
     write_json,
     write_whole,
 )
-from vergence.geometry.head import load_head
-from vergence.interchange.formats import import_head
 
 LINES = 20_000
 WRITER = f"""
@@ -240,84 +234,3 @@ def test_a_stopped_command_says_what_it_had_finished(tmp_path, number):
     assert process.returncode in (128 + number, -signal.SIGINT), said
     assert said.strip().splitlines()[-1] == "vergence: stopped; nothing was written."
     assert not out.exists()
-
-
-KINDS = ("a.rrd", "a.png", "a.json", "a.yml", "a.xml", "a.urdf", "a.yaml", "info")
-"""A recording, a picture, a calibration, and exports to OpenCV, URDF, Kalibr and ROS."""
-OUTPUTS = """
-import sys
-from pathlib import Path
-import numpy as np
-import rerun as rr
-import rerun.blueprint as rrb
-from mutated_files import stated_head
-from vergence.errors import VergenceError
-from vergence.geometry.head import save_head
-from vergence.interchange.formats import export_head
-from vergence.viewer.plots.canvas import panels, save
-from vergence.viewer.recording import recording_file
-
-out, letter, head = Path(sys.argv[1]), sys.argv[2], stated_head()
-for k in range(5):
-    with recording_file(out / "a.rrd", letter, rrb.Blueprint(rrb.Spatial3DView()), head, ()) as rec:
-        rec.log("points", rr.Points3D(np.zeros((3000, 3))))
-    save(panels(1, letter)[0], out / "a.png")
-    save_head(head, out / "a.json")
-    for format, name in (
-        ("opencv", "a.yml"), ("opencv", "a.xml"), ("urdf", "a.urdf"), ("kalibr", "a.yaml")
-    ):
-        export_head(head, out / name, format)
-    try:
-        export_head(head, out / "info", "ros")
-        print("wrote")
-    except VergenceError as error:
-        assert "Another process is writing" in str(error)
-        print("refused")
-"""
-
-
-@pytest.mark.slow
-def test_every_kind_of_output_is_whole_when_two_processes_write_it_five_times(tmp_path):
-    folders = [Path(__file__).parents[1] / name for name in ("benchmarks", "src")]
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, folders))}
-    command = [sys.executable, "-W", "ignore", "-c", OUTPUTS, str(tmp_path)]
-    writers = [
-        subprocess.Popen(
-            [*command, letter],
-            env=environment,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        for letter in "ab"
-    ]
-    looked = 0
-    while any(writer.poll() is None for writer in writers):
-        if all((tmp_path / name).exists() for name in KINDS):
-            check_outputs_whole(tmp_path)
-            looked += 1
-        time.sleep(0.05)
-    said = [writer.communicate() for writer in writers]
-    assert [error for _, error in said] == ["", ""]
-    for printed, _ in said:
-        assert len(printed.split()) == 5
-        assert "wrote" in printed
-    check_outputs_whole(tmp_path)
-    assert looked > 5
-    assert temporaries(tmp_path) == []
-    assert not unfinished(tmp_path / "info")
-
-
-def check_outputs_whole(folder: Path) -> None:
-    """Read one file of every kind."""
-    RrdReader(folder / "a.rrd").recordings()
-    with Image.open(folder / "a.png") as picture:
-        picture.load()
-    load_head(folder / "a.json")
-    template = stated_head()
-    import_head(folder / "a.yml", "opencv")
-    import_head(folder / "a.xml", "opencv")
-    import_head(folder / "a.yaml", "kalibr", template=template)
-    ElementTree.parse(folder / "a.urdf")
-    for path in (folder / "info").glob("*.yaml"):
-        import_head(path, "ros", template=template)

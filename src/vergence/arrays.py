@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import threading
 from collections.abc import Iterator
@@ -33,10 +32,9 @@ def _shaped(*shape: int | None) -> tuple[PlainValidator, PlainSerializer]:
             raise ValueError(f"expected {wanted} numbers, found {value!r:.60}") from None
         if array.size == 0 and None in shape:  # JSON's [] has lost the other dimensions
             array = array.reshape([0 if size is None else size for size in shape])
-        fits = array.ndim == len(shape) and all(
-            size in (None, found) for size, found in zip(shape, array.shape, strict=True)
-        )
-        if not fits:
+        if array.ndim != len(shape) or any(
+            size not in (None, found) for size, found in zip(shape, array.shape, strict=True)
+        ):
             found = " x ".join(map(str, array.shape)) or "a single number"
             raise ValueError(f"expected {wanted} numbers, found {found}")
         if not np.isfinite(array).all():
@@ -55,33 +53,20 @@ Matrix = Annotated[Array, *_shaped(None, None)]
 
 
 MAX_M = 1e6
-"""Largest coordinate of a translation or a point; with far larger ones the algebra overflows."""
-
-
+"""Largest coordinate of a translation or a point [m]; far larger ones overflow."""
 _EYE, _LAST_ROW = np.eye(3), np.array([0.0, 0.0, 0.0, 1.0])
 
 
 def _rigid(array: Array) -> Array:
     """Check that a (4, 4) array is a rigid transform in metres; ValueError otherwise."""
-    # Determinant and root in plain numbers: estimates make poses many times a second.
     R = array[:3, :3]
-    possible = np.abs(R).max() < 1.1  # far larger numbers would overflow below
-    found = "a rotation part that is not a rotation"
-    if possible:
-        square = R @ R.T
-        scale = math.sqrt(square.trace() / 3)
-        if scale > 0 and np.abs(square / scale**2 - _EYE).max() < 1e-6:
-            (a, b, c), (d, e, f), (g, h, i) = R.tolist()
-            if a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) < 0:
-                found = "left-handed axes, which no rotation gives: one of them is mirrored"
-            elif abs(scale - 1) > 1e-6:
-                found = (
-                    f"a rotation times {scale:.6g}, as a quaternion gives that is not of length 1"
-                )
-            else:
-                found = ""
-    if found:
-        raise ValueError(f"expected a rigid transform, found {found}")
+    (a, b, c), (d, e, f), (g, h, i) = R.tolist()  # plain numbers are fast
+    handed = a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g)
+    if np.abs(R).max() > 1.1 or np.abs(R @ R.T - _EYE).max() > 2e-6 or handed < 0:
+        problem = "left-handed axes or" if handed < 0 else "a quaternion that is not normalised, or"
+        raise ValueError(
+            f"expected a rigid transform, found {problem} a rotation part that is not a rotation"
+        )
     if np.abs(array[:3, 3]).max() > MAX_M:
         raise ValueError(f"expected a translation in metres, found {array[:3, 3].tolist()}")
     if np.abs(array[3] - _LAST_ROW).max() > 1e-9:
@@ -158,7 +143,7 @@ def single_blas_thread() -> Iterator[None]:
     with _limiting:
         _users[0] += 1
         if _users[0] == 1:
-            _before[:] = [(library, library.get_num_threads()) for library in _blas()]
+            _before[:] = [(library, library.get_num_threads() or 1) for library in _blas()]
             for library, _ in _before:
                 library.set_num_threads(1)
     try:

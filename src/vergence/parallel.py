@@ -20,7 +20,6 @@ from joblib.externals.loky.backend import resource_tracker
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from vergence.errors import VergenceError
-from vergence.files import finished_files
 from vergence.progress import Progress, silent
 
 T = TypeVar("T")
@@ -66,18 +65,19 @@ def run_tasks(
         return
     with _followed(progress) as steps, warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # joblib's, of results that were not taken
-        run = joblib.Parallel(count, return_as="generator_unordered", batch_size=1, max_nbytes=None)
+        run = joblib.Parallel(count, return_as="generator_unordered", max_nbytes=None)
         # Workers inherit that signals are blocked: this process alone handles them, and kills them.
         resource_tracker.ensure_running()  # its start unblocks them
         before = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
         try:
-            results = run(joblib.delayed(_run)(task, steps, os.getpid(), count) for task in tasks)
+            results: Any = run(
+                joblib.delayed(_run)(task, steps, os.getpid(), count) for task in tasks
+            )
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        with closing(results):  # pyright: ignore[reportArgumentType]
+        with closing(results):
             try:
-                for files, result in results:
-                    finished_files.extend(files)
+                for result in results:
                     finished(result)
             except TerminatedWorkerError:
                 raise VergenceError(
@@ -109,20 +109,17 @@ def _followed(progress: Progress) -> Iterator[Path]:
             thread.join()
 
 
-def _run(
-    task: Callable[[Progress], T], steps: Path, parent: int, count: int
-) -> tuple[list[Path], T]:
-    """Run a task in a worker; return the files that it has written, and its result."""
+def _run(task: Callable[[Progress], T], steps: Path, parent: int, count: int) -> T:
+    """Run a task in a worker."""
 
     def tell(*step: Any) -> None:
         with steps.open("a") as file:
             file.write(json.dumps(step) + "\n")
 
-    if os.getppid() == parent:  # else in a cluster
-        _settle(parent, count)
-    before = len(finished_files)
-    result = task(tell if os.getppid() == parent else silent)
-    return finished_files[before:], result
+    if os.getppid() != parent:  # in a cluster
+        return task(silent)
+    _settle(parent, count)
+    return task(tell)
 
 
 @cache

@@ -30,7 +30,7 @@ class StereoRows:
         return len(self.rows)
 
     def frame(self, k: int) -> Frame:
-        """Return the k-th row with the images of both cameras; errors: see `Dataset.image`."""
+        """Read the k-th row with the images of both cameras; errors as in `Dataset.image`."""
         row = int(self.rows[k])
         images = {name: self.dataset.image(name, row) for name in self.cameras}
         time_s = float(self.dataset.time_s[row])
@@ -42,7 +42,7 @@ class StereoRows:
 
 
 def stereo_rows(dataset: Dataset, head: HeadCalibration) -> StereoRows:
-    """Return the rows that show the views of a head's main cameras.
+    """Select the rows with images of both main cameras of a head.
 
     While the eyes move, readings are moved to the moments of the images by the calibrated time
     offset or, without one, by the time stamps.
@@ -85,7 +85,7 @@ def check_readings_match(dataset: Dataset, head: HeadCalibration) -> None:
 
 
 def _at_the_images(dataset: Dataset, head: HeadCalibration) -> Array:
-    """Return all rows' readings (M, r) [rad], or eye poses, at the moments of their images."""
+    """Move readings (M, r) [rad], or eye poses, of all rows to the moments of their images."""
     readings = dataset.eye_angles if dataset.T_base_eye is None else dataset.T_base_eye
     if not dataset.moving.any():
         return readings

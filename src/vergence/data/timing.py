@@ -1,8 +1,8 @@
-"""Eyes that move while they are read: what a time offset does to joint angles.
+"""Move joint readings of moving eyes to the moments of the images.
 
-An image shows the joints some tens of milliseconds before or after they were read. At 1 Hz the
-eyes' acceleration matters then (an offset of 40 ms would pass for 3 % of gain), so that angles are
-moved in time along a polynomial through their neighbours, not along a tangent.
+An image shows the joints some tens of milliseconds before or after they were read. Readings are
+moved along a polynomial through their neighbours: along a tangent, an offset of 40 ms would look
+like 3 % of gain in a motion of 1 Hz.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from vergence.arrays import Array
 from vergence.geometry.se3 import boxminus, boxplus
 
 WINDOW_S = 0.3
-"""Neighbours on each side to which the polynomial is fitted. At 30 Hz and moved by 40 ms it misses
-0.0014 % of the amplitude of 1 Hz, and 0.3 % of that of 2 Hz; a shorter one passes more noise on."""
+"""Half width of the window of the polynomial [s]. At 30 Hz and moved by 40 ms its error is 0.0014 %
+of the amplitude at 1 Hz and 0.3 % at 2 Hz; a shorter window passes more noise."""
 LEAST_ROWS = 7
-"""Neighbours, and the row itself, if they come more slowly than that."""
+"""Fewest samples of the window, for slower recordings."""
 TRAJECTORY_DEGREE = 7
-"""Degree of the polynomial where there are enough neighbours: it gives the figures of WINDOW_S."""
+"""Degree of the polynomial with enough neighbours; gives the errors stated for WINDOW_S."""
 _SLACK_S = 1e-6  # so that rounding of time stamps drops no row
 
 
@@ -34,7 +34,7 @@ class Timing:
     """(V,) of int: views of one motion share a number from 1; 0 where the eyes stood still."""
 
     def take(self, rows: np.ndarray) -> Timing:
-        """Return some of the views, by index or by a mask."""
+        """Select views by index or by a mask."""
         return Timing(self.time_s[rows], self.run[rows])
 
 
@@ -50,9 +50,9 @@ class Stencil:
 
 
 def stencil(time_s: Array, run: np.ndarray, wanted: np.ndarray | None = None) -> Stencil:
-    """Return the polynomials around N samples at times (N,) of runs (N,), 0 at rest.
+    """Fit polynomials around N samples at times (N,) of runs (N,), 0 at rest.
 
-    `wanted` (N,) of bool: around which of them; they are zero around others. None: around all.
+    `wanted` (N,) of bool selects samples; the polynomials of others are zero. None: all.
     """
     N = len(time_s)
     found: list[tuple[int, np.ndarray, Array]] = []
@@ -87,29 +87,29 @@ def stencil(time_s: Array, run: np.ndarray, wanted: np.ndarray | None = None) ->
 
 
 def coefficients(around: Stencil, values: Array) -> Array:
-    """Return (N, n, TRAJECTORY_DEGREE) coefficients of the polynomials through values (N, n)."""
+    """Compute the coefficients (N, n, TRAJECTORY_DEGREE) of polynomials through values (N, n)."""
     return np.einsum("nwk,nwj->njk", around.weights, values[around.neighbours], optimize=True)
 
 
 def change(coefficients: Array, seconds: float) -> Array:
-    """Return (N, n): the change within a time, by coefficients (N, n, TRAJECTORY_DEGREE)."""
+    """Evaluate the change (N, n) of values after a time."""
     return coefficients @ seconds ** np.arange(1.0, TRAJECTORY_DEGREE + 1)
 
 
 def rate(coefficients: Array, seconds: float) -> Array:
-    """Return (N, n): how fast values change after a time [1/s]."""
+    """Evaluate the rate of change (N, n) of values after a time [1/s]."""
     powers = np.arange(1.0, TRAJECTORY_DEGREE + 1)
     return coefficients @ (powers * seconds ** (powers - 1))
 
 
 def pose_coefficients(around: Stencil, T: Array) -> Array:
-    """Return (N, 6, TRAJECTORY_DEGREE) coefficients of the increments along poses (N, 4, 4)."""
+    """Compute coefficients (N, 6, TRAJECTORY_DEGREE) of increments along poses (N, 4, 4)."""
     away = boxminus(T[around.neighbours], T[:, None])
     return np.einsum("nwk,nwj->njk", around.weights, away, optimize=True)
 
 
 def moved_readings(readings: Array, timing: Timing, seconds: float) -> Array:
-    """Return what readings (V, J), or eye poses (V, 2, 4, 4), would be some seconds later."""
+    """Move readings (V, J), or eye poses (V, 2, 4, 4), in time by some seconds."""
     around = stencil(timing.time_s, timing.run)
     if readings.ndim == 2:
         return readings + change(coefficients(around, readings), seconds)

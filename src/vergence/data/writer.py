@@ -148,7 +148,7 @@ def _cells(description: Description, row: DatasetRow) -> _Cells:
             angle = joint.sign * angles[name]
             cells[joint.column] = float(np.degrees(angle)) if joint.unit == "deg" else angle
     if description.eye_motion == "poses":
-        if np.shape(row.T_base_eye) != (2, 4, 4):
+        if row.T_base_eye is None or np.shape(row.T_base_eye) != (2, 4, 4):
             raise VergenceError(
                 f"The row at {frame.time_s} s needs the poses of both eyes, T_base_eye (2, 4, 4); "
                 f"found {row.T_base_eye!r:.80}."

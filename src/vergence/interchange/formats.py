@@ -59,7 +59,7 @@ def import_head(
 
 
 def unchanged_lenses(head: HeadCalibration, template: HeadCalibration) -> list[str]:
-    """Return the cameras of an imported head whose intrinsics are those of its template."""
+    """List the cameras of an imported head whose intrinsics are those of its template."""
     both = {
         name: (head.camera(name).intrinsics, template.camera(name).intrinsics)
         for name in template.cameras

@@ -122,7 +122,7 @@ def _camchain(content: Any) -> Camchain:
 
 
 def update_head(chain: Camchain, template: HeadCalibration) -> HeadCalibration:
-    """Return the template with a chain's intrinsics and, if it has all of them, its poses.
+    """Give a template the intrinsics of a chain and, if the chain has all of them, its poses.
 
     The main camera of each eye keeps its pose in the eye, which a chain does not hold. Those of the
     other cameras and T_rbase_lbase follow from the chain, which is assumed to hold at readings of

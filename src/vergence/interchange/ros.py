@@ -61,12 +61,12 @@ def save(head: HeadCalibration, folder: Path) -> None:
 
 
 def file_name(camera: str) -> str:
-    """Return the name of a camera's file."""
+    """Name the file of a camera."""
     return f"{camera}.yaml"
 
 
 def _plain(value: Any) -> Any:
-    """Return a matrix as a mapping with the keys rows, cols and data; anything else unchanged."""
+    """Convert a matrix to a mapping with the keys rows, cols and data."""
     if not isinstance(value, np.ndarray):
         return value
     return {"rows": value.shape[0], "cols": value.shape[1], "data": value.ravel().tolist()}
@@ -97,7 +97,7 @@ def load(path: Path) -> dict[str, Camera]:
 
 
 def files(path: Path) -> list[Path]:
-    """Return the files that are read of a path: all *.yaml files of a folder, or the file."""
+    """List the files to read: all *.yaml files of a folder, or the file."""
     return sorted(path.glob("*.yaml")) if os.path.isdir(path) else [path]
 
 

@@ -22,9 +22,9 @@ from vergence.geometry.lens import COEFFICIENTS, CameraModel
 T = TypeVar("T")
 
 MAX_BYTES = 2**18
-"""A head in one of these formats has 10 kB."""
+"""Largest file; a head in one of these formats has 10 kB."""
 NEGLIGIBLE = 1e-9
-"""A skew [px] or a k3 below this counts as zero: it moves no pixel by more than about as much."""
+"""Largest skew [px] or k3 that counts as zero; it moves a pixel by about as much."""
 
 
 def _matrix(value: Any) -> Array:
@@ -53,7 +53,7 @@ class Intrinsics(BaseModel):
     distortion_coefficients: Matrix
 
     def camera(self, model: CameraModel = "radial-tangential") -> Camera:
-        """Return the camera; ValueError if it has skew, or coefficients of another lens model."""
+        """Make the camera; ValueError if it has skew, or coefficients of another lens model."""
         camera = Camera(
             width=self.image_width,
             height=self.image_height,
@@ -67,7 +67,7 @@ class Intrinsics(BaseModel):
 
 
 def intrinsics_fields(camera: Camera) -> dict[str, Any]:
-    """Return the fields of Intrinsics, with matrices as arrays."""
+    """Make the fields of Intrinsics, with matrices as arrays."""
     return {
         "image_width": camera.width,
         "image_height": camera.height,
@@ -103,14 +103,14 @@ def parse_yaml(text: str) -> Any:
 def read(
     path: Path, what: str, build: Callable[[Any], T], parse: Callable[[str], Any] = parse_yaml
 ) -> T:
-    """Read another program's file; arguments and errors are those of `reading.read_parsed`."""
+    """Read another program's file; see `files.read_parsed`."""
     return read_parsed(path, what, build, parse, most_bytes=MAX_BYTES)
 
 
 def with_intrinsics(head: HeadCalibration, cameras: Mapping[str, Camera]) -> HeadCalibration:
-    """Return a head with intrinsics of some cameras replaced; VergenceError: it lacks one.
+    """Replace intrinsics of some cameras of a head, and drop its accuracy.
 
-    What was stated of its accuracy is not true of other intrinsics, and is left out.
+    VergenceError if the head lacks a camera.
     """
     mounted = {name: replace(head.camera(name), intrinsics=c) for name, c in cameras.items()}
     return replace(head, cameras={**head.cameras, **mounted}, accuracy=None)

@@ -27,10 +27,10 @@ from vergence.geometry.se3 import inverse, pose
 from vergence.interchange.serialization import check_names
 
 LIMIT_RAD = 1.5708
-"""A quarter turn each way, of a joint of an eye and so of what a reading adds to it. URDF requires
-limits, and a calibration holds none."""
+"""Limit of the joints [rad], a quarter turn each way. URDF requires limits; a calibration holds
+none."""
 EFFORT, VELOCITY = 100.0, 100.0
-"""Limits of torque and speed, required too: large enough to have no effect."""
+"""Limits of torque and speed that URDF requires, large enough to have no effect."""
 
 T_LINK_OPTICAL = pose(R_EYE_CAM)
 """From frame cam to a camera's link, which looks along x with z up (REP 103)."""
@@ -129,7 +129,7 @@ def _check_different(what: str, names: list[str]) -> None:
 
 
 def _identifier(name: str) -> str:
-    """Return a name of letters, digits and _ for a reading."""
+    """Convert the name of a reading to letters, digits and _."""
     return re.sub(r"[^A-Za-z0-9_]", "_", name)
 
 
@@ -165,7 +165,7 @@ def _add_joint(
 
 
 def _rpy(R: Array) -> tuple[float, float, float]:
-    """Return roll, pitch, yaw [rad] of URDF: R = Rz(yaw) Ry(pitch) Rx(roll)."""
+    """Compute roll, pitch, yaw [rad] of URDF: R = Rz(yaw) Ry(pitch) Rx(roll)."""
     level = np.hypot(R[0, 0], R[1, 0])
     pitch = np.arctan2(-R[2, 0], level)
     if level < 1e-9:  # straight up or down: only the sum of roll and yaw has a meaning
@@ -174,5 +174,5 @@ def _rpy(R: Array) -> tuple[float, float, float]:
 
 
 def _text(*values: float) -> str:
-    """Return numbers so that they read back exactly, a negative zero without its sign."""
+    """Format numbers so that they read back exactly, a negative zero without its sign."""
     return " ".join(repr(float(value) + 0.0) for value in values)

@@ -25,7 +25,7 @@ NO_OPENGL = (
 
 
 def no_opengl(reason: object) -> VergenceError:
-    """Return the error for a machine that cannot render."""
+    """Make the error of a machine that cannot render."""
     backend = os.environ.get("MUJOCO_GL", "(unset)")
     first_line = (str(reason) or type(reason).__name__).splitlines()[0]
     return VergenceError(NO_OPENGL.format(backend=backend, reason=first_line))

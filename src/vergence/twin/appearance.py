@@ -54,7 +54,7 @@ class VisualGeom:
 
 
 def visual_geoms(model: mujoco.MjModel) -> list[VisualGeom]:
-    """Return the visible shapes of all bodies, without the room and the collision shapes."""
+    """List the visible shapes of all bodies, without the room and the collision shapes."""
     geoms = []
     for k in range(model.ngeom):
         if model.geom_group[k] not in _VISUAL_GROUPS or model.geom_bodyid[k] == _ROOM:
@@ -82,7 +82,7 @@ def visual_geoms(model: mujoco.MjModel) -> list[VisualGeom]:
 
 
 def _mesh(model: mujoco.MjModel, geom: int) -> tuple[Array, Array]:
-    """Return corners and normals (F, 3, 3) of a mesh: MuJoCo numbers the two separately."""
+    """Read corners and normals (F, 3, 3) of a mesh."""
     mesh = int(model.geom_dataid[geom])
     first = int(model.mesh_faceadr[mesh])
     faces = slice(first, first + int(model.mesh_facenum[mesh]))

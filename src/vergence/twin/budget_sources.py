@@ -27,9 +27,9 @@ BY_HAND = {
 def profile_sources(
     head: HeadCalibration, profile: ErrorProfile, pixel_std_px: float | Array | None = None
 ) -> list[Source]:
-    """Return noise and known errors of a profile, less those that the head's calibration estimated.
+    """List the noise and errors of a profile that the head's calibration did not estimate.
 
-    Offsets of joints are not among them: calibration takes them for rotations of the mountings.
+    Offsets of joints are left out: calibration estimates them as rotations of the mountings.
     """
     pixels = OBJECT_NOISE_PX if pixel_std_px is None else pixel_std_px
     sources = [Source("pixel noise", pixel_std_px=pixels)] if np.any(pixels) else []

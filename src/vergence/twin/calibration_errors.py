@@ -16,7 +16,7 @@ from vergence.twin.profile import ByHand, Lens
 def inject_calibration_error(
     calibration: HeadCalibration, by_hand: ByHand, lens: Lens
 ) -> HeadCalibration:
-    """Return a calibration with errors in its wide cameras; straight gaze stays exact (Eq. 10).
+    """Add errors to the wide cameras of a calibration; straight gaze stays exact (Eq. 10).
 
     T_rbase_lbase is recomputed by Eq. 10, so that T_rcam_lcam at zero joint angles stays the same.
     The lens selects the error of the focal length.

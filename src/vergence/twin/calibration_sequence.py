@@ -97,13 +97,13 @@ def plan(
 
 
 def _facing(board: Board, centre: Sequence[float] | Array, turn: Array) -> Array:
-    """Return T_lbase_target of a board with its middle at a centre, turned from facing the head."""
+    """Place a board with its middle at a centre, turned from facing the head; T_lbase_target."""
     middle = corner_points(board).mean(axis=0)
     return pose(R_EYE_CAM @ rotation(turn), centre) @ pose(t=-middle)
 
 
 def visible(head: HeadCalibration, board: Board, name: str, shot: Shot) -> np.ndarray:
-    """Return a mask (K,) of the corners that a camera sees well inside its image."""
+    """Select the corners (K,) that a camera sees well inside its image."""
     camera = head.camera(name).intrinsics
     uv = project_board(head, board, name, shot)
     size = np.array(camera.size)
@@ -112,7 +112,7 @@ def visible(head: HeadCalibration, board: Board, name: str, shot: Shot) -> np.nd
 
 
 def project_board(head: HeadCalibration, board: Board, name: str, shot: Shot) -> Array:
-    """Return the pixels (K, 2) of the board's corners in a camera, at a shot's pose and angles."""
+    """Project the board's corners (K, 2) into a camera at a shot's pose and angles."""
     corners = transform(shot.T_lbase_target, corner_points(board))
     return project_point(head, name, shot.eye_angles, corners)
 
@@ -125,7 +125,7 @@ def _held_board(
     lean_rad: float,
     rng: np.random.Generator,
 ) -> Array:
-    """Return a random T_lbase_target at which all the cameras see the whole board."""
+    """Draw a T_lbase_target at which all the cameras see the whole board."""
     mounted = head.camera(cameras[-1])
     eye_y = 0.0 if mounted.eye == "left" else inverse(head.T_rbase_lbase)[1, 3]
     slope = mounted.intrinsics.width / 2 / mounted.intrinsics.matrix[0, 0]
@@ -142,7 +142,7 @@ def _held_board(
 
 
 def board_as_given(profile: ErrorProfile, board: Board = BOARD) -> Board:
-    """Return the board with the dimensions given to the calibration, perhaps wrong ones."""
+    """Make the board with the dimensions that the calibration is given."""
     printed = 1 + profile.calibration.square_percent / 100
     if isinstance(board, Chessboard):
         return replace(board, square_m=board.square_m / printed)
@@ -150,7 +150,7 @@ def board_as_given(profile: ErrorProfile, board: Board = BOARD) -> Board:
 
 
 def straight_neck(eye_angles: Array) -> Array:
-    """Return the command (j,) for readings of the eyes (r,) [rad] with the neck straight."""
+    """Make the command (j,) of readings of the eyes (r,) [rad] with the neck straight."""
     return np.concatenate([np.zeros(len(NECK_JOINTS)), eye_angles])
 
 
@@ -214,7 +214,7 @@ def observations(
     eye_angles: Array,
     found: Sequence[Mapping[str, Array | None]],
 ) -> Observations:
-    """Return the corners found in each shot by camera, and the readings (V, r), as observations."""
+    """Collect the corners of each shot by camera and the readings (V, r)."""
     nothing = np.full((BOARD.columns * BOARD.rows, 2), np.nan)
     corners = {}
     for name in head.cameras:

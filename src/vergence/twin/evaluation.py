@@ -132,7 +132,7 @@ def evaluate(head: HeadCalibration, truth: Truth) -> Evaluation:
 
 
 def _pose_error(T: Array, T_true: Array) -> tuple[float, float]:
-    """Return the angle [deg] and the distance [mm] between two poses."""
+    """Compute the angle [deg] and the distance [mm] between two poses."""
     turn = np.degrees(angle((inverse(T) @ T_true)[:3, :3]))
     return float(turn), float(1e3 * np.linalg.norm(T[:3, 3] - T_true[:3, 3]))
 

@@ -28,7 +28,7 @@ _TICK_S = 0.005
 
 
 def arm_mounting_error(seed: int, run: int) -> Array:
-    """Return the pose (4, 4) of the arm relative to where the head's software assumes it.
+    """Draw the pose (4, 4) of the arm relative to where the head's software assumes it.
 
     Standard deviations are 15 mm along and 1.5 degrees about each axis, which adds up to more than
     22 mm along each axis at half a metre. The seed is that of the head.
@@ -51,7 +51,7 @@ class SimulatedHand:
         self._command = HandCommand(twin.time_s, self._position, np.zeros(3))
 
     def read(self) -> HandReading:
-        """Return the pose of the hand by its encoders, now."""
+        """Read the pose of the hand by its encoders."""
         self.advance(self._twin.time_s)
         closed = self._opening_m <= CLOSED_M
         return HandReading(self._time_s, pose(t=self._position), closed)
@@ -81,7 +81,6 @@ class SimulatedHand:
             self._time_s += dt
 
     def _T_lbase_arm(self) -> Array:
-        """Return the true pose (4, 4) of the arm in the left eye's base frame, now."""
         neck = self._twin.true_angles()[NECK]
         return inverse(T_body_base(self._twin.truth, "left", neck)) @ self._T_body_arm
 

@@ -16,7 +16,6 @@ from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.errors import check_seed
 from vergence.gaze.commands import EYE_READINGS, NECK
-from vergence.geometry.board import Charuco
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES, Kinematics
 from vergence.geometry.neck import NECK_JOINTS
@@ -32,7 +31,6 @@ from vergence.twin.model import (
 )
 from vergence.twin.profile import ErrorProfile, Lens
 from vergence.twin.renderer import Negative, Renderer, overscan_sizes
-from vergence.twin.scene.card import Card
 from vergence.twin.scene.room import FINENESS, PASSER, Scene, passer_position
 from vergence.twin.sensors import play, read
 
@@ -55,8 +53,7 @@ class Exposure:
 class Twin:
     """A simulated head in its room. Use it in a `with` block: it holds OpenGL's resources.
 
-    `truth` and all that begins with `true_` are for evaluation only: nothing that estimates may ask
-    for them.
+    `truth` and names that begin with `true_` are for evaluation only.
     """
 
     def __init__(
@@ -65,27 +62,25 @@ class Twin:
         *,
         seed: int = 0,
         lens: Lens = "2.8mm",
-        board: Charuco | None = None,
-        card: Card | None = None,
         kinematics: Kinematics | None = None,
         scene: Scene = "room",
         oversampling: float | None = None,
+        furnish: Callable[[mujoco.MjSpec], None] | None = None,
     ):
-        """Build a head with wide cameras of a lens, and with the imperfections of a profile.
+        """Build a head with wide cameras of a lens and the imperfections of a profile.
 
-        The same seed gives the same head, whatever the lens. A board replaces the scene's
-        chessboard, a card the red sphere that is its object. The eyes have two joints each or
+        The same seed gives the same head, whatever the lens. The eyes have two joints each or
         more; by default pan, then tilt. Oversampling is that of images that are distorted; None:
-        OVERSAMPLING of the renderer times FINENESS of the scene. VergenceError if there is no
-        OpenGL, the model or the scene cannot be loaded, the eyes have fewer joints, or the seed is
-        negative.
+        OVERSAMPLING of the renderer times FINENESS of the scene. `furnish` changes the scene, for
+        example its board. VergenceError if there is no OpenGL, the model or the scene cannot be
+        loaded, the eyes have fewer joints, or the seed is negative.
         """
         check_seed(seed)
         self.profile = profile
         self.nominal: HeadCalibration = nominal_head(lens, kinematics)
         self.truth: HeadCalibration = as_built_head(self.nominal, profile, seed)
         sizes = overscan_sizes(self.truth)
-        self.model = compile_head(self.truth, sizes, board=board, card=card, scene=scene)
+        self.model = compile_head(self.truth, sizes, scene=scene, furnish=furnish)
         self._passes = scene == "moving"
         self._data = mujoco.MjData(self.model)
         self._seen = mujoco.MjData(self.model)  # the pose at which pictures are taken
@@ -159,23 +154,23 @@ class Twin:
         self.advance(self.time_s + seconds, command)
 
     def _posture(self) -> Array:
-        """Return the angles of the neck and what readings without errors would be, (j,) [rad]."""
+        """Compute the neck's angles and the readings without errors, (j,) [rad]."""
         return self._unmixing @ self._data.qpos[self._addresses]
 
     def _at(self, history: Array, time_s: float) -> Array:
         return np.array([np.interp(time_s, self._times, column) for column in history.T])
 
     def _moments(self) -> tuple[float, float]:
-        """Return when the image and when the joints are sampled, if a frame is taken now."""
+        """Compute when image and joints of a frame that is taken now are sampled [s]."""
         delay = self.profile.joints.delay_ms * 1e-3
         return self.time_s - max(0.0, -delay), self.time_s - max(0.0, delay)
 
     def true_angles(self) -> Array:
-        """Return the true (j,) angles at the moment of the image, if a frame is taken now."""
+        """Interpolate the true angles (j,) to the moment of an image that is taken now."""
         return self._at(self._true, self._moments()[0])
 
     def true_object(self) -> Array:
-        """Return where the object is (3,) [m], in the left eye's base frame."""
+        """Compute the position (3,) [m] of the object in the left eye's base."""
         return transform(inverse(self.T_world_lbase()), self._data.body("object").xpos)
 
     def expose(self, cameras: Sequence[str] = CAMERAS) -> Exposure:
@@ -198,7 +193,7 @@ class Twin:
         return Exposure(Frame(now, now, eye_angles, neck_angles, {}), negatives)
 
     def _passer(self, time_s: float) -> Array:
-        """Return where the passing object is: not before a board that is being shown."""
+        """Compute where the passing object is; it is hidden while a board is shown."""
         board = self._data.mocap_pos[self.model.body("board").mocapid[0]]
         return passer_position(time_s) if (board == _AWAY).all() else _AWAY
 
@@ -212,11 +207,11 @@ class Twin:
         return self.develop(self.expose(cameras))
 
     def true_depth(self, camera: str) -> Array:
-        """Return the depth (H, W) [m] along the optical axis of a camera, at the last exposure."""
+        """Render the depth (H, W) [m] along the optical axis of a camera at the last exposure."""
         return self._renderer.true_depth(self._seen, camera)
 
     def T_world_lbase(self) -> Array:
-        """Return the pose (4, 4) of the left eye's base frame in the world."""
+        """Compute the pose (4, 4) of the left eye's base in the world."""
         T_world_head = T_world_body(self._data, "head")
         pan = self.model.body("left_pan")
         R = Rotation.from_quat(pan.quat, scalar_first=True).as_matrix()
@@ -238,10 +233,7 @@ class Twin:
         self._place("board", T_lbase_target)
 
     def place_object(self, position: Array | None) -> None:
-        """Put the object at (3,) [m] in the left eye's base frame; None takes it away.
-
-        A card faces the head: against the x axis of this frame, with its upper side along z.
-        """
+        """Put the object at (3,) [m] in the left eye's base frame; None takes it away."""
         self._place("object", None if position is None else pose(t=position))
 
     def place_hand(self, T_lbase_hand: Array | None, *, opening_m: float = 0.0) -> None:
@@ -257,11 +249,11 @@ class Twin:
             self._place(f"hand_{side}_finger", T)
 
     def true_hand(self) -> Array:
-        """Return the pose (4, 4) of the hand in the left eye's base frame."""
+        """Compute the pose (4, 4) of the hand in the left eye's base."""
         return inverse(self.T_world_lbase()) @ T_world_body(self._data, "hand")
 
     def body_poses(self) -> dict[str, Array]:
-        """Return by name the world pose (4, 4) of every body, at the last exposure."""
+        """Compute the world pose (4, 4) of every body at the last exposure, by name."""
         names = [self.model.body(b).name for b in range(self.model.nbody)]
         return {name: T_world_body(self._seen, name) for name in names}
 

@@ -15,16 +15,15 @@ from vergence.twin.calibration_sequence import straight_neck
 from vergence.twin.head import Twin
 
 LOOK_S, LOOK_STEP_S = 5.0, 0.1
-"""How long the twin looks around, and how often it takes images."""
+"""Duration of looking around, and period of its images [s]."""
 FASTER = SLOWEST_S["divergent"] / LOOK_S
-"""By how much faster than in the paper's figures the eyes move, so that each joint goes through its
-whole range once: at most 45 degrees a second. Errors of matches recur where the eyes have been, so
-that it is other postures that teach more, and not more images."""
+"""Speed of the eyes relative to the paper's figures. Each joint passes through its range once, at
+45 degrees a second or less: new postures are more informative than more images."""
 _SETTLE_S = 1.0
 
 
 def look_times() -> Array:
-    """Return the times (n,) [s] of its frames."""
+    """List the times (n,) [s] of the frames."""
     return np.arange(0.0, LOOK_S, LOOK_STEP_S)
 
 
@@ -47,7 +46,7 @@ def look_around(twin: Twin, cameras: Sequence[str], *, run: int) -> Iterator[Fra
 def learn_by_looking(
     twin: Twin, geometry: VisualGeometry, *, run: int, progress: Progress = silent
 ) -> VisualGeometry:
-    """Return the geometry after the twin has looked around; see `look_around`."""
+    """Update a geometry while the twin looks around; see `look_around`."""
     total = len(look_times())
     for done, frame in enumerate(look_around(twin, geometry.state.cameras, run=run), start=1):
         geometry = update_geometry(geometry, frame)

@@ -6,6 +6,7 @@ The names that the model uses are looked up here and nowhere else.
 # pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
@@ -16,7 +17,6 @@ from scipy.spatial.transform import Rotation
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
-from vergence.geometry.board import Charuco
 from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration, MountedCamera, T_head_base, pair_names
 from vergence.geometry.joints import Joint
@@ -24,8 +24,6 @@ from vergence.geometry.kinematics import EYES, Kinematics, Side
 from vergence.geometry.neck import NECK_JOINTS, Neck
 from vergence.geometry.se3 import pose, rotation
 from vergence.twin.profile import ErrorProfile, Lens
-from vergence.twin.scene.board import put_charuco
-from vergence.twin.scene.card import Card, put_card
 from vergence.twin.scene.room import Scene, load_scene
 
 CAMERAS = ("left_wide", "right_wide", "left_narrow", "right_narrow")
@@ -41,7 +39,7 @@ DISTORTION: dict[Lens, tuple[float, ...]] = {
 
 
 def model_folder() -> Path:
-    """Return the folder of the MJCF files: beside the code when installed, else in the checkout."""
+    """Find the MJCF files, in the installed package or in the checkout."""
     packaged = Path(str(resources.files("vergence"))) / "models" / "cbi_head"
     return packaged if packaged.is_dir() else Path(__file__).parents[3] / "models" / "cbi_head"
 
@@ -52,17 +50,14 @@ def load_spec(scene: Scene = "room") -> mujoco.MjSpec:
 
 
 ANOTHER_HEAD = 0.1
-"""Share by which a baseline or a focal length is off only in a calibration of another head; errors
-of calibration are a few percent."""
+"""Relative difference of a baseline or focal length above which a calibration is of another head;
+errors of calibration are a few percent."""
 LEAST_JOINTS = 2
 """Fewest joints of an eye: those of the MJCF file."""
 
 
 def hinges(kinematics: Kinematics) -> dict[Side, list[str]]:
-    """Return by eye the names of the model's joints, from the head outwards.
-
-    The model has two, of which only the names say pan and tilt; more are added to it.
-    """
+    """Name the model's joints by eye, from the head outwards; those after the second are added."""
     return {
         eye: [
             f"{eye}_pan",
@@ -74,9 +69,9 @@ def hinges(kinematics: Kinematics) -> dict[Side, list[str]]:
 
 
 def nominal_head(lens: Lens, kinematics: Kinematics | None = None) -> HeadCalibration:
-    """Return the head as designed, with a lens in the wide cameras.
+    """Build the head as designed, with a lens in the wide cameras.
 
-    Its eyes have two joints each or more; None: pan, then tilt. VergenceError if they have not.
+    Without kinematics an eye pans, then tilts. VergenceError if an eye has fewer than two joints.
     """
     kinematics = kinematics or Kinematics()
     for eye, joints in kinematics.eyes.items():
@@ -127,9 +122,9 @@ def nominal_head(lens: Lens, kinematics: Kinematics | None = None) -> HeadCalibr
 
 
 def as_built_head(nominal: HeadCalibration, profile: ErrorProfile, seed: int) -> HeadCalibration:
-    """Return the true head: the nominal one with the profile's errors, drawn from the seed.
+    """Draw the true head from the nominal one and the standard deviations of a profile.
 
-    Every draw is made whatever the profile, so that profiles share their random numbers.
+    All profiles draw the same random numbers.
     """
     rng = np.random.default_rng([seed, 1])
     mounting, optics = profile.mounting, profile.optics
@@ -171,11 +166,27 @@ def as_built_head(nominal: HeadCalibration, profile: ErrorProfile, seed: int) ->
 
 
 def check_calibration_of(truth: HeadCalibration, calibration: HeadCalibration) -> None:
-    """Raise VergenceError if a calibration cannot be that of the twin, which is the as-built head.
+    """Raise VergenceError if a calibration cannot be that of the twin, given as built.
 
-    By the baseline and the focal lengths of the main pair, the cameras and the readings.
+    Main cameras, readings, baseline and focal lengths are compared.
     """
-    found = _other_parts(truth, calibration) or _other_sizes(truth, calibration)
+    names, found = pair_names(truth), ""
+    if absent := [name for name in names if name not in calibration.cameras]:
+        found = f"it has no camera {absent[0]}, it has {', '.join(calibration.cameras)}"
+    elif calibration.kinematics.readings != truth.kinematics.readings:
+        found = f"it is moved by {', '.join(calibration.kinematics.readings)}"
+    else:
+        for what, unit, size in (
+            ("its baseline", "mm", lambda head: 1e3 * np.linalg.norm(head.T_rbase_lbase[:3, 3])),
+            *(
+                (f"{name}.fx", "px", lambda head, n=name: head.cameras[n].intrinsics.matrix[0, 0])
+                for name in names
+            ),
+        ):
+            ours, twins = size(calibration), size(truth)
+            if abs(ours / twins - 1) > ANOTHER_HEAD:
+                found = f"{what} is {ours:.1f} {unit}, the twin's {twins:.1f} {unit}"
+                break
     if found:
         raise VergenceError(
             f"This calibration is of another head than the twin: {found}. Give the --profile and "
@@ -183,36 +194,12 @@ def check_calibration_of(truth: HeadCalibration, calibration: HeadCalibration) -
         )
 
 
-def _other_parts(twin: HeadCalibration, calibration: HeadCalibration) -> str:
-    """Return which camera of the main pair a calibration lacks, or by what else it is moved."""
-    for name in pair_names(twin):
-        if name not in calibration.cameras:
-            return f"it has no camera {name}, it has {', '.join(calibration.cameras)}"
-    theirs, own = (", ".join(head.kinematics.readings) for head in (calibration, twin))
-    return "" if theirs == own else f"it is moved by {theirs}, the twin by {own}"
-
-
-def _other_sizes(twin: HeadCalibration, calibration: HeadCalibration) -> str:
-    """Return which size of a head with the same cameras is far from the twin's."""
-    sizes = [("its baseline", "mm", lambda head: 1e3 * np.linalg.norm(head.T_rbase_lbase[:3, 3]))]
-    sizes += [
-        (f"{name}.fx", "px", lambda head, name=name: head.cameras[name].intrinsics.matrix[0, 0])
-        for name in pair_names(twin)
-    ]
-    for what, unit, size in sizes:
-        theirs, own = size(calibration), size(twin)
-        if abs(theirs / own - 1) > ANOTHER_HEAD:
-            return f"{what} is {theirs:.1f} {unit}, the twin's {own:.1f} {unit}"
-    return ""
-
-
 def compile_head(
     head: HeadCalibration,
     overscan: dict[str, tuple[int, int]],
     *,
-    board: Charuco | None = None,
-    card: Card | None = None,
     scene: Scene = "room",
+    furnish: Callable[[mujoco.MjSpec], None] | None = None,
 ) -> mujoco.MjModel:
     """Compile the scene with the head as given.
 
@@ -220,15 +207,12 @@ def compile_head(
         head: the as-built head, whose lens distortion the renderer adds.
         overscan: by camera, the width and height [px] to render, at the camera's own focal
             length; the image lies in the middle of it.
-        board: replaces the scene's chessboard.
-        card: replaces the sphere that is the scene's object.
         scene: the name of the scene.
+        furnish: changes the scene, for example its board.
     """
     spec = load_spec(scene)
-    if board is not None:
-        put_charuco(spec, board)
-    if card is not None:
-        put_card(spec, card)
+    if furnish is not None:
+        furnish(spec)
     for eye, names in hinges(head.kinematics).items():
         T = T_head_base(head, eye)
         chain = head.kinematics.chains[eye]
@@ -264,6 +248,6 @@ def compile_head(
 
 
 def T_world_body(data: mujoco.MjData, name: str) -> Array:
-    """Return the pose (4, 4) of a body in the world."""
+    """Compute the pose (4, 4) of a body in the world."""
     body = data.body(name)
     return pose(body.xmat.reshape(3, 3), body.xpos)

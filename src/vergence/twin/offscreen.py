@@ -36,10 +36,7 @@ class Offscreen:
     """Renders a model. Use it in the thread that created it, and close it."""
 
     def __init__(self, model: mujoco.MjModel, formats: Iterable[Format]):
-        """Open OpenGL for pictures of some formats; raises what the backend raises: there is none.
-
-        The model stays as it is.
-        """
+        """Open OpenGL for pictures of some formats; raises the error of the backend."""
         self._model = model
         self.scene = mujoco.MjvScene(model, _MOST_GEOMS)
         for flag in _HIDDEN:
@@ -70,13 +67,13 @@ class Offscreen:
         )
 
     def colours(self, form: Format) -> np.ndarray:
-        """Return a picture (H, W, 3) uint8 of the scene, RGB."""
+        """Render a picture (H, W, 3) uint8 of the scene, RGB."""
         colours = np.empty((form.height, form.width, 3), np.uint8)
         self._render(form, colours, None)
         return np.ascontiguousarray(colours[::-1])  # OpenGL's rows begin at the bottom
 
     def depths(self, form: Format) -> Array:
-        """Return the depths (H, W) [m] of the scene along the optical axis."""
+        """Render the depths (H, W) [m] of the scene along the optical axis."""
         nearness = np.empty((form.height, form.width), np.float32)
         self._render(form, None, nearness)
         extent, planes = self._model.stat.extent, self._model.vis.map
@@ -106,7 +103,7 @@ class Offscreen:
 
 
 def _context() -> Any:  # the class depends on the backend
-    """Return the OpenGL context of this thread, which is open until the thread ends."""
+    """Open the OpenGL context of this thread once."""
     if not hasattr(_opened, "context"):
         _opened.context = mujoco.GLContext(1, 1)  # of no matter: each buffer has its own size
         if threading.current_thread() is threading.main_thread():
@@ -115,7 +112,6 @@ def _context() -> Any:  # the class depends on the backend
 
 
 def _buffer(model: mujoco.MjModel) -> mujoco.MjrContext:
-    """Return where pictures of the size that the model says are rendered."""
     made = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
     made.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
     return made

@@ -23,7 +23,7 @@ Lens = Literal["2.8mm", "4.0mm"]
 """Focal length of the wide cameras."""
 StdDeg = Annotated[float, Field(ge=0, le=10)]
 StdMm = Annotated[float, Field(ge=0, le=50)]
-"""Standard deviations: with larger ones a head could be drawn that cannot be built."""
+"""Standard deviations of heads that can be built."""
 Degrees = Annotated[float, Field(ge=-45, le=45)]
 Millimetres = Annotated[float, Field(ge=-100, le=100)]
 Percent = Annotated[float, Field(ge=-50, le=50)]
@@ -155,7 +155,7 @@ class ErrorProfile(_Section):
 
 
 def shipped() -> list[str]:
-    """Return the names of the profiles that are part of the package."""
+    """List the profiles in the package."""
     folder = resources.files("vergence.twin") / "profiles"
     return sorted(p.name.removesuffix(".toml") for p in folder.iterdir())
 

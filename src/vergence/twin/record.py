@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -45,6 +46,7 @@ from vergence.twin.head import Twin
 from vergence.twin.model import nominal_head
 from vergence.twin.profile import ErrorProfile, Lens
 from vergence.twin.renderer import FINE
+from vergence.twin.scene.board import put_charuco
 from vergence.twin.scene.room import Scene
 from vergence.twin.sensors import with_sensors
 from vergence.twin.truth import TRUTH, Truth
@@ -114,8 +116,7 @@ def record(
             f"A motion has {LEAST_MOVING} to {MOST_FRAMES} frames; asked for {moving}."
         )
     check_new(out)
-    charuco = CHARUCO if target == "charuco" else None
-    board: Board = charuco or BOARD
+    board: Board = CHARUCO if target == "charuco" else BOARD
     note = f"Recorded on the twin: profile {profile.name}, {lens} lens, seed {seed}."
     description = _description(lens, board_as_given(profile, board), note, kinematics)
     joints = description.head_kinematics
@@ -125,10 +126,10 @@ def record(
         profile,
         seed=seed,
         lens=lens,
-        board=charuco,
         kinematics=joints,
         scene=scene,
         oversampling=FINE,
+        furnish=partial(put_charuco, board=board) if isinstance(board, Charuco) else None,
     ) as twin:
         shots = _shots(twin, board, seed, frames)
         total = len(shots) + moving
@@ -161,7 +162,7 @@ def record(
 
 
 def _shots(twin: Twin, board: Board, seed: int, frames: int) -> list[Shot]:
-    """Return the sequence, each shot with all the cameras that see enough of the board."""
+    """Plan the sequence with all the cameras that see enough of the board in each shot."""
     whole = WIDE_VIEWS + 2 * NARROW_VIEWS + ORIENTATIONS
     wide = max(3, round(frames * WIDE_VIEWS / whole))
     narrow = max(3, round(frames * NARROW_VIEWS / whole))
@@ -172,9 +173,9 @@ def _shots(twin: Twin, board: Board, seed: int, frames: int) -> list[Shot]:
 
 
 def _verging(head: HeadCalibration, shots: list[Shot]) -> list[Shot]:
-    """Return shots in which the eyes move less alike, where each has readings of its own.
+    """Add vergence to shots of eyes with separate readings.
 
-    Images of eyes that move alike do not tell whether the readings of left and right are exchanged.
+    Exchanged readings of left and right cannot be detected in images of eyes that move alike.
     """
     left, right = (head.kinematics.used(eye) for eye in EYES)
     if set(left) & set(right):
@@ -190,7 +191,7 @@ def _verging(head: HeadCalibration, shots: list[Shot]) -> list[Shot]:
 
 
 def _seeing(twin: Twin, board: Board, shot: Shot) -> tuple[str, ...]:
-    """Return the cameras that see the whole chessboard, or enough of a ChArUco board."""
+    """Select the cameras that see the whole chessboard, or enough of a ChArUco board."""
     part = 1.0 if board.kind == "chessboard" else PART_SEEN
     head = twin.nominal
     return tuple(n for n in head.cameras if visible(head, board, n, shot).mean() >= part)
@@ -219,17 +220,14 @@ def _frame(twin: Twin, shot: Shot, *, moving: bool) -> tuple[Array, DatasetRow]:
 
 
 def _sweep(time_s: float, factors: Array) -> Array:
-    """Return (r,) readings [rad] of a smooth motion: as Eqs. 22-23, but faster.
-
-    `factors` (r,) are those of the head's kinematics.
-    """
+    """Compute readings (r,) [rad] of a smooth motion as in Eqs. 22-23, but faster."""
     n = len(factors)
     periods = np.concatenate([[1.0, 1.5, 1.2, 1.8], 2.0 + 0.2 * np.arange(max(0, n - 4))])
     return _AMPLITUDE_RAD * np.cos(_SPEED_RAD_S * time_s / periods[:n]) / factors
 
 
 def _description(lens: Lens, board: Board, note: str, kinematics: Path | None) -> Description:
-    """Return what dataset.json states; VergenceError if the file of the joints is not valid."""
+    """Describe the dataset; VergenceError if the file of the joints is not valid."""
     cameras = {
         name: DatasetCamera(
             eye=mounted.eye, width=mounted.intrinsics.width, height=mounted.intrinsics.height

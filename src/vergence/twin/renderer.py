@@ -30,16 +30,16 @@ FINE = 3.0
 """Oversampling of recorded datasets: corners of a board in wide images are then off by 0.005 px,
 not 0.02, and a picture takes three times as long."""
 _WINDOW_PX = 128
-"""Side of the part of such an image that is rendered anew, multisampled: the one with the object,
-whose outline would else be stepped, which displaces a sphere of 5 px in radius by 0.04 px. To
-multisample all of the image would take twice as long."""
+"""Side [px] of the part with the object, which is rendered again with multisampling. Without it the
+outline has steps, which displace a sphere of 5 px in radius by 0.04 px. Multisampling the whole
+image takes twice as long."""
 _UNSEEN_GROUP = 5  # of geoms, which MuJoCo leaves out unless it is told otherwise
 _PIXEL_STD_PX = 0.36
-"""Standard deviation of the filter by which a pixel gathers light before the image is sampled.
-With multisampling (0.2 px) and interpolation (0.3 px) a pixel sees somewhat more than itself."""
+"""Standard deviation of the filter of a pixel's area [px]; with multisampling (0.2 px) and
+interpolation (0.3 px) a pixel covers slightly more than its area."""
 _FILTER_STDS = 2.5
-"""How far a filter reaches, in its standard deviations. OpenCV's three take half as long again for
-weights that are nothing in its 8 bits: the images are the same."""
+"""Half width of filters in standard deviations. OpenCV's three give the same 8-bit images and take
+half as long again."""
 _NOISE_MARGIN = 256  # the noise of an image is a window of a larger one, at one of 256 x 256 places
 
 
@@ -53,7 +53,7 @@ class Negative:
 
 
 def overscan_sizes(head: HeadCalibration) -> dict[str, tuple[int, int]]:
-    """Return by camera the width and height [px] of the pinhole image to render.
+    """Compute the width and height [px] of the pinhole image to render, by camera.
 
     It covers the field of view of the distorted image; cameras without distortion need only their
     own size. VergenceError if a lens model is not one-to-one within its image.
@@ -76,7 +76,7 @@ def overscan_sizes(head: HeadCalibration) -> dict[str, tuple[int, int]]:
 
 
 def _map(camera: Camera, size: tuple[int, int], oversampling: float) -> Sequence[np.ndarray]:
-    """Return float32 maps x and y (H, W) into the rendered image for each pixel of the camera.
+    """Compute float32 maps x and y (H, W) into the rendered image for each pixel of the camera.
 
     That image is `oversampling` times as large as size. OpenCV's packed maps would round to 1/32
     px.
@@ -87,17 +87,14 @@ def _map(camera: Camera, size: tuple[int, int], oversampling: float) -> Sequence
 
 
 def _in_pinhole(camera: Camera, pixels: Array, size: tuple[int, int]) -> Array:
-    """Return the positions of a camera's pixels (..., 2) in a pinhole image of a given size."""
+    """Map a camera's pixels (..., 2) into a pinhole image of a given size."""
     xy = normalise(camera, pixels)
     shift = (np.array(size) - [camera.width, camera.height]) / 2
     return xy @ camera.matrix[:2, :2].T + camera.matrix[:2, 2] + shift
 
 
 def _view_corners(offscreen: Offscreen, data: mujoco.MjData, camera: str) -> Array:
-    """Return the left upper and right lower corner (2, 2) of a camera's view, one metre before it.
-
-    x points right, y up.
-    """
+    """Compute two corners (2, 2) of a view at one metre, upper left and lower right; y up."""
     offscreen.show(data, camera)
     view = offscreen.scene.camera[0]
     middle, half = view.frustum_center, view.frustum_width
@@ -106,7 +103,7 @@ def _view_corners(offscreen: Offscreen, data: mujoco.MjData, camera: str) -> Arr
 
 
 def _beside(centres: Array, radii: Array, corners: Array) -> Array:
-    """Return (N,) whether spheres lie outside the cone about a view between two corners (2, 2).
+    """Test (N,) which spheres lie outside the cone about a view between two corners (2, 2).
 
     Centres are (N, 3), x right, y up, z back. A sphere without radius is an infinite plane.
     """
@@ -213,7 +210,7 @@ class Renderer:
         image[v : v + side, u : u + side] = self._offscreen.colours(window)
 
     def develop(self, negative: Negative) -> np.ndarray:
-        """Return the image (H, W, 3) uint8 of the camera."""
+        """Distort, blur and add noise to an image (H, W, 3) uint8."""
         image, blur_px = negative.rendered, self._image.blur_px
         if negative.camera in self._maps:
             x, y = self._maps[negative.camera]
@@ -230,7 +227,7 @@ class Renderer:
         return image
 
     def true_depth(self, data: mujoco.MjData, camera: str) -> Array:
-        """Return the depth (H, W) [m] along a camera's optical axis, of each of its pixels."""
+        """Render the depth (H, W) [m] of each pixel along the optical axis."""
         self._offscreen.show(data, camera)
         depth = self._offscreen.depths(self._formats[camera])
         if camera in self._maps:  # no mean of what is before and behind an edge

@@ -15,10 +15,9 @@ from vergence.twin.profile import Joints
 
 
 def play(angles: Array, width: float | Array, start: Array | None = None) -> Array:
-    """Return the angles (T, J) [rad] on the sensor's side of a mechanical play (backlash).
+    """Simulate backlash: angles (T, J) [rad] on the sensor's side of a mechanical play.
 
-    The sensor follows when the eye reaches either end of the play; after a reversal the eye crosses
-    the whole width before the sensor follows.
+    After a reversal the eye crosses the whole width before the sensor follows.
 
     Args:
         angles: (T, J) true angles of the eye in order of time [rad].
@@ -34,10 +33,10 @@ def play(angles: Array, width: float | Array, start: Array | None = None) -> Arr
 
 
 def sensor_columns(kinematics: Kinematics) -> list[int]:
-    """Return (r,) which of a profile's four sensors, in the order of EYE_JOINTS, reads each joint.
+    """Assign one of a profile's four sensors, in the order of EYE_JOINTS, to each reading (r,).
 
-    On a head with other joints it is a sensor of the first eye that the reading moves: pan if the
-    axis of the joint is nearer to z than to y, else tilt.
+    A reading with another name gets the pan or tilt sensor of the first eye that it moves, by the
+    axis of the joint.
     """
     found = []
     for r, name in enumerate(kinematics.readings):
@@ -51,7 +50,7 @@ def sensor_columns(kinematics: Kinematics) -> list[int]:
 
 
 def with_sensor_errors(kinematics: Kinematics, gain: Array, offset: Array) -> Kinematics:
-    """Return joints that take readings for angles gain * reading + offset, both (r,)."""
+    """Change joints so that they read angles as gain * reading + offset, both (r,)."""
     gains = dict(zip(kinematics.readings, gain.tolist(), strict=True))
     eyes: dict[Side, tuple[Joint, ...]] = {}
     for eye, joints in kinematics.eyes.items():
@@ -64,17 +63,15 @@ def with_sensor_errors(kinematics: Kinematics, gain: Array, offset: Array) -> Ki
 
 
 def _scaled(joint: Joint, gains: Mapping[str, float]) -> Joint:
-    """Return a joint whose readings are multiplied by gains."""
     if len(joint.readings) == 1:
         return replace(joint, gain=joint.gain * gains[next(iter(joint.readings))])
     return replace(joint, readings={name: f * gains[name] for name, f in joint.readings.items()})
 
 
 def gains_and_offsets(joints: Joints, kinematics: Kinematics) -> tuple[Array, Array]:
-    """Return gains (r,) and offsets (r,) [rad] of sensors, which read gain * angle + offset.
+    """Compute gains (r,) and offsets (r,) [rad] of sensors, which read gain * angle + offset.
 
-    Angles are what readings without errors would be: those of a motor before a gear, where the
-    profile's offsets are those of the joint behind it.
+    The angle is that of the motor; the profile states offsets of the joint behind the gear.
     """
     columns = sensor_columns(kinematics)
     offset = np.radians(joints.offset_deg)[columns] / kinematics.factors
@@ -84,10 +81,7 @@ def gains_and_offsets(joints: Joints, kinematics: Kinematics) -> tuple[Array, Ar
 def read(
     sensed: Array, joints: Joints, rng: np.random.Generator, kinematics: Kinematics | None = None
 ) -> Array:
-    """Return readings (N, r) [rad] of angles (N, r) [rad] on the sensors' side.
-
-    Without kinematics they are those of two eyes that pan and tilt.
-    """
+    """Simulate readings (N, r) [rad] of angles (N, r) [rad] on the sensors' side."""
     kinematics = kinematics or Kinematics()
     noise = rng.normal(0.0, np.radians(joints.noise_deg), sensed.shape) / kinematics.factors
     gain, offset = gains_and_offsets(joints, kinematics)
@@ -99,7 +93,7 @@ def read(
 
 
 def with_sensors(head: HeadCalibration, joints: Joints) -> HeadCalibration:
-    """Return a head whose joints undo the gains and offsets of its joint sensors.
+    """Give a head the joints that undo the gains and offsets of its sensors.
 
     A sensor reads gain * angle + offset; a calibration states angle = gain * reading + offset.
     """

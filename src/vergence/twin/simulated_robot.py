@@ -64,10 +64,7 @@ def calibrate_twin(twin: Twin, seed: int, progress: Progress = silent) -> GazeSe
 
 
 def twin_limits(kinematics: Kinematics) -> JointLimits:
-    """Return the limits of the twin's joints: a reading has those of the hinge that it turns.
-
-    Of a motor before a gear they are as much larger as the motor turns farther.
-    """
+    """Compute the limits of readings from those of the hinges that they turn."""
     model = JointLimits()
     rows = [model.joints.index(EYE_JOINTS[k]) for k in sensor_columns(kinematics)]
     names = [*NECK_JOINTS, *kinematics.readings]
@@ -125,7 +122,7 @@ class SimulatedHead:
         self._gain, self._offset = gains_and_offsets(twin.profile.joints, kinematics)
 
     def now_s(self) -> float:
-        """Return the simulated time [s]."""
+        """Read the simulated clock [s]."""
         return self.twin.time_s
 
     def command(self, command: HeadCommand) -> None:
@@ -149,27 +146,22 @@ class SimulatedHead:
         return self.twin.capture(cameras)
 
     def _servo(self, time_s: float) -> Array:
-        """Return the angles (j,) [rad] that the simulated joints are sent to at a time."""
+        """Compute the angles (j,) [rad] that the simulated joints are sent to at a time."""
         wanted = setpoint(self._command, time_s)
         wanted[EYE_READINGS] = (wanted[EYE_READINGS] - self._offset) / self._gain
         return wanted
 
 
 def true_pixels(twin: Twin, settings: GazeSettings) -> Array:
-    """Return the object's true pixels (E, 2) in the images that are to be centred, now.
-
-    There is one for each of the E eyes that the settings use: that of its narrow camera, or of its
-    only one.
-    """
+    """Project the object into the narrow or only camera of each of the E eyes in use, (E, 2)."""
     eyes, where = twin.true_angles()[EYE_READINGS], twin.true_object()
     return np.array([project_point(twin.truth, name, eyes, where) for name in settings.narrow])
 
 
 def foveal_errors(twin: Twin, settings: GazeSettings) -> Array:
-    """Return the object's true distances (E,) [px] from the centres of these images, now.
+    """Compute the object's distances (E,) [px] from the principal points of the calibration.
 
-    The centres are the principal points of the calibration: the controller does not know the true
-    ones, which cannot be seen in an image. Infinite where the object is behind a camera.
+    Infinite where the object is behind a camera.
     """
     cameras = settings.calibration.cameras
     centres = [cameras[name].intrinsics.matrix[:2, 2] for name in settings.narrow]
@@ -179,7 +171,7 @@ def foveal_errors(twin: Twin, settings: GazeSettings) -> Array:
 
 
 def in_all_foveas(twin: Twin, settings: GazeSettings) -> bool:
-    """Return whether the object's centre is truly within these images, now."""
+    """Tell whether the object's centre is within all these images."""
     return all(
         is_central(twin.truth.camera(name).intrinsics, pixel, share=1.0)
         for name, pixel in zip(settings.narrow, true_pixels(twin, settings), strict=True)
@@ -187,9 +179,9 @@ def in_all_foveas(twin: Twin, settings: GazeSettings) -> bool:
 
 
 def unoccluded(twin: Twin, places_head: Array, *, margin_m: float) -> np.ndarray:
-    """Return (N,) whether the room leaves places unoccluded in all cameras of the head at rest.
+    """Test (N,) which places (N, 3) [m] in frame head all cameras of the head at rest see.
 
-    The places (N, 3) [m] are in frame head; a margin around each must be unoccluded too.
+    The room must not occlude a margin around each place either.
     """
     model = copy(twin.model)
     data = mujoco.MjData(model)

@@ -1,1 +1,1 @@
-"""What stands before the head: the room, the calibration board, a card as object."""
+"""What stands before the head: the room and the calibration board."""

@@ -21,9 +21,8 @@ _FILES: dict[Scene, str] = {
     "moving": "scene_moving.xml",
 }
 FINENESS: dict[Scene, float] = {"room": 1.0, "sparse": 2.0, "moving": 1.0}
-"""How much finer pictures of a scene are sampled than those of the room. The less texture there is
-to match, the more its aliasing matters. A picture of the sparse scene takes twice as long as one of
-the room."""
+"""Oversampling relative to the room. Aliasing matters more where there is less texture to match; a
+picture of the sparse scene takes twice as long."""
 PASSER = "passer"
 """The body that moves by itself, where there is one."""
 _PASSER_M = np.array([0.75, 0.30, 1.20])
@@ -48,7 +47,7 @@ def load_scene(folder: Path, scene: Scene) -> mujoco.MjSpec:
 
 
 def passer_position(time_s: float) -> Array:
-    """Return where in the world (3,) [m] the passing object is at a time."""
+    """Compute the position (3,) [m] of the passing object in the world."""
     phase = 2 * np.pi * time_s / _PASSER_PERIOD_S
     swing = np.array([0.0, _PASSER_SWING_M * np.sin(phase), 0.03 * np.sin(2 * phase)])
     return _PASSER_M + swing
