@@ -9,6 +9,7 @@ from rerun.chunk import RrdReader
 
 from rrd import assert_valid, read_series
 from vergence.data.dataset import Frame
+from vergence.demos.experiment import Experiment
 from vergence.demos.recording import recorded
 from vergence.gaze.controller import run_gaze
 from vergence.gaze.foveation import ideal_wide_pixel
@@ -42,7 +43,8 @@ def made(tmp_path_factory: pytest.TempPathFactory, opengl: None) -> Recorded:
     errors: list[np.ndarray] = []
     with Twin(ErrorProfile(), seed=0) as twin:
         settings = GazeSettings(calibration=twin.truth)
-        with recorded(path.parent, "gaze", twin, settings, seed=0, reach_m=1.0) as (watch, report):
+        experiment = Experiment(twin.profile, out=path.parent)
+        with recorded(experiment, "gaze", twin, settings, reach_m=1.0) as (watch, report):
             for run in (0, 1):
 
                 def path_of(t: float, run=run) -> np.ndarray | None:

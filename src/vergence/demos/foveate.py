@@ -180,17 +180,16 @@ def foveate(
         VergenceError: an argument is out of range, or the folder cannot be written.
     """
     check_trials(trials)
-    seed, out = experiment.seed, experiment.out
     with (
         calibrated_twin(experiment, progress) as (twin, settings),
-        recorded(out, "foveate", twin, settings, seed=seed, reach_m=DEPTH_M[1], speed=PLAYBACK) as (
+        recorded(experiment, "foveate", twin, settings, reach_m=DEPTH_M[1], speed=PLAYBACK) as (
             watch,
             report,
         ),
     ):
-        if out is not None:
-            save_foveation(out / "depth.png", settings.calibration)
-        where = targets(trials, seed, free=partial(unoccluded, twin, margin_m=OBJECT_M))
+        if experiment.out is not None:
+            save_foveation(experiment.out / "depth.png", settings.calibration)
+        where = targets(trials, experiment.seed, free=partial(unoccluded, twin, margin_m=OBJECT_M))
 
         def record(state: GazeState, frame: Frame | None) -> None:
             if len(made) < RECORDED:
@@ -205,7 +204,7 @@ def foveate(
         progress("foveate, trials", trials, trials)
         report += as_markdown(made[:RECORDED])
         found = summary(made)
-        write_summary(out, "foveate", found)
+        write_summary(experiment.out, "foveate", found)
     return found, made
 
 

@@ -188,10 +188,10 @@ def grasp(
         VergenceError: an argument is out of range, or the folder cannot be written.
     """
     check_trials(trials)
-    seed, out = experiment.seed, experiment.out
+    seed = experiment.seed
     with (
         calibrated_twin(experiment, progress) as (twin, gaze),
-        recorded(out, "grasp", twin, gaze, seed=seed, reach_m=FAR_M[0], speed=0.5, hand=True) as (
+        recorded(experiment, "grasp", twin, gaze, reach_m=FAR_M[0], speed=0.5, hand=True) as (
             watch,
             report,
         ),
@@ -212,7 +212,7 @@ def grasp(
         progress("grasp, trials", trials, trials)
         found = summary(made)
         report += as_markdown(found)
-        write_summary(out, "grasp", found)
+        write_summary(experiment.out, "grasp", found)
     return found, made
 
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from pathlib import Path
 
 import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
+from vergence.demos.experiment import Experiment
 from vergence.gaze.commands import EYE_READINGS
 from vergence.gaze.state import GazeSettings, GazeState
 from vergence.geometry.head import T_body_base
@@ -30,53 +30,37 @@ of a hand in frame body. Without a frame it records nothing."""
 
 @contextmanager
 def recorded(
-    out: Path | None,
+    experiment: Experiment,
     name: str,
     twin: Twin,
     settings: GazeSettings,
     *,
-    seed: int,
     reach_m: float,
     speed: float = 1.0,
     hand: bool = False,
 ) -> Iterator[tuple[Watch, list[str]]]:
-    """Record runs in a `with` block to `name`.rrd in a folder; None: nothing is recorded.
+    """Record runs in a `with` block to `name`.rrd in the experiment's folder, if it has one.
 
     Runs, each with its time from zero, follow each other on one timeline. Images are recorded of
-    the frames that have those of all cameras.
-
-    Args:
-        out: folder.
-        name: of the demo.
-        twin: the head, whose truth is drawn with the controller's estimates.
-        settings: of the controller.
-        seed: of the head, for the title.
-        reach_m: maximum distance of objects [m], for the 3-D view.
-        speed: of the playback, in recorded seconds a second.
-        hand: whether there is a hand.
-
-    Yields:
-        The function to call, and a list for the lines of the report in Markdown.
-
-    Raises:
-        VergenceError: the file cannot be written.
+    the frames that have those of all cameras. The 3-D view reaches as far as stated [m]; `speed` is
+    that of the playback. Yields the function to call, and a list for the lines of the report in
+    Markdown. Raises VergenceError if the file cannot be written.
     """
-    title = f"{name}, profile {twin.profile.name}, seed {seed}"
+    title = f"{name}, profile {experiment.profile.name}, seed {experiment.seed}"
     report = [f"# {title}", ""]
-    if out is None:
+    if experiment.out is None:
         yield lambda *_: None, report
         return
-    head = settings.calibration
-    seen = settings.geometry == "seen"
+    head, seen = settings.calibration, settings.geometry == "seen"
     layout = gaze_blueprint(title, head, reach_m=reach_m, speed=speed, hand=hand, seen=seen)
-    file = out / f"{name}.rrd"
+    file = experiment.out / f"{name}.rrd"
     with recording_file(file, title, layout, head, visual_geoms(twin.model)) as rec:
         yield _watch(rec, twin, settings), report
         log_report(rec, "\n".join(report))
 
 
 def _watch(rec: Recording, twin: Twin, settings: GazeSettings) -> Watch:
-    """Return a function that records frame after frame of all runs on one timeline."""
+    """Make the function that records the frames of all runs on one timeline."""
     head = settings.calibration
     count, latest_s, began_s = 0, -np.inf, 0.0
     lanes_before: dict[str, str] = {}

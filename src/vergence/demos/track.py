@@ -208,10 +208,10 @@ def track(experiment: Experiment, progress: Progress = silent, *, seconds: float
     """
     if not SHORTEST_S <= seconds <= LONGEST_S:
         raise VergenceError(f"A run takes {SHORTEST_S:.0f} to {LONGEST_S:.0f} s, found {seconds}.")
-    seed, out = experiment.seed, experiment.out
+    seed = experiment.seed
     with (
         calibrated_twin(experiment, progress) as (twin, settings),
-        recorded(out, "track", twin, settings, seed=seed, reach_m=DEPTH_M[1]) as (record, report),
+        recorded(experiment, "track", twin, settings, reach_m=DEPTH_M[1]) as (record, report),
     ):
         hidden_s = float(np.random.default_rng([seed, 7]).uniform(0.3, 0.6)) * seconds
         path = smooth_path(seed, seconds)
@@ -225,7 +225,7 @@ def track(experiment: Experiment, progress: Progress = silent, *, seconds: float
         found = follow(*arguments, hidden_s=hidden_s, geometry=geometry, watch=both)
         progress("track, seconds", int(seconds), int(seconds))
         report += as_markdown(found, hidden_s)
-        write_summary(out, "track", found)
+        write_summary(experiment.out, "track", found)
     return found
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -126,6 +126,30 @@ def replay(
     def command(time_s: float) -> Array:
         return straight_neck(eye_angles(figure.motion, np.array(time_s - _LEAD_S)))
 
+    def process(
+        index: int, exposure: Exposure, eyes: Array, where: Array, bodies: dict[str, Array]
+    ) -> tuple[Array, ...]:
+        """Develop a frame, detect the object, and show both to observer and other methods."""
+        frame = twin.develop(exposure)
+        detected = {
+            name: find_sphere(image, calibration.camera(name).intrinsics)
+            for name, image in frame.images.items()
+        }
+        if compared is not None:
+            compared.add(frame.images, frame.eye_angles, detected, times_s[index])
+        if observer is not None:
+            complete = len(frame.images) == len(twin.truth.cameras)
+            shown = {n: project_point(twin.truth, n, eyes, where) for n in frame.images}
+            observer(
+                time_s=times_s[index],
+                index=index,
+                frame=frame if complete else None,
+                body_poses=bodies,
+                detected=detected,
+                truth=shown,
+            )
+        return (frame.eye_angles, *(detected[name] for name in WIDE))
+
     task = f"figure {figure.number}, {figure.motion}"
     progress(task, 0, len(times_s))
     twin.advance(_LEAD_S / 2, command(_LEAD_S))  # to the first posture
@@ -140,68 +164,19 @@ def replay(
                 if index >= 3:
                     pending[index - 3].result()  # limits images in memory, raises errors early
                 eyes, where = twin.true_angles()[EYE_READINGS], twin.true_object()
-                sample = _Sample(index, time_s, complete, exposure, eyes, where, twin.body_poses())
-                pending.append(
-                    worker.submit(_measured, twin, calibration, sample, observer, compared)
-                )
+                sample = index, exposure, eyes, where, twin.body_poses()
+                pending.append(worker.submit(process, *sample))
                 progress(task, index + 1, len(times_s))
         except BaseException:
             worker.shutdown(cancel_futures=True)
             raise
         results = [future.result() for future in pending]
-    angles = np.array([angles for angles, _ in results])
-    pixels_l, pixels_r = (np.array([pixels[name] for _, pixels in results]) for name in WIDE)
+    angles, pixels_l, pixels_r = (np.array(column) for column in zip(*results, strict=True))
     result = estimate(calibration, figure, Measurements(times_s, angles, pixels_l, pixels_r))
     if compared is None:
         return result
     others = {method: np.array(points) for method, points in compared.points.items()}
     return replace(result, others=others)
-
-
-class _Sample(NamedTuple):
-    """An exposure, and the truth at its time for recordings."""
-
-    number: int
-    time_s: float
-    complete: bool
-    """Whether all cameras were rendered."""
-    exposure: Exposure
-    eyes: Array
-    """(4,) true angles [rad]."""
-    where: Array
-    """(3,) where the object is [m]."""
-    bodies: dict[str, Array]
-
-
-def _measured(
-    twin: Twin,
-    calibration: HeadCalibration,
-    sample: _Sample,
-    observer: Callable[..., None] | None,
-    compared: Comparison | None,
-) -> tuple[Array, dict[str, Array]]:
-    """Develop a sample, show it to observer and other methods, and detect the object.
-
-    Returns the joint readings (4,), and the object's pixel (2,) by camera.
-    """
-    frame = twin.develop(sample.exposure)
-    detected = {
-        name: find_sphere(image, calibration.camera(name).intrinsics)
-        for name, image in frame.images.items()
-    }
-    if compared is not None:
-        compared.add(frame.images, frame.eye_angles, detected, sample.time_s)
-    if observer is not None:
-        shown = {n: project_point(twin.truth, n, sample.eyes, sample.where) for n in frame.images}
-        observer(
-            time_s=sample.time_s,
-            index=sample.number,
-            frame=frame if sample.complete else None,
-            body_poses=sample.bodies,
-            detected=detected,
-            truth=shown,
-        )
-    return frame.eye_angles, detected
 
 
 def estimate(calibration: HeadCalibration, figure: Figure, measurements: Measurements) -> Replay:
