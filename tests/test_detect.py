@@ -129,12 +129,12 @@ def test_an_unreadable_image_fails_alone_and_is_named_in_a_remark(folder, kept, 
     image.write_bytes(content[: int(kept * len(content))])
     found = detect_target(load_dataset(folder))
     assert capfd.readouterr().err == ""  # nothing of libpng's own
-    where = f"{folder / 'frames.csv'}, line 4: left_wide: images/left_2.png"
-    said = f"{where} {UNREADABLE}; leave the cell empty where there is no image."
-    unreadable, no_corners = found.findings
-    assert unreadable.sentence == said
-    assert unreadable.where == no_corners.where == "line 4, left_wide"
-    assert no_corners.sentence == f"Line 4, images/left_2.png: the file {UNREADABLE}."
+    (unreadable,) = found.findings
+    assert (unreadable.code, unreadable.where) == ("unreadable-image", "line 4, left_wide")
+    assert unreadable.sentence == (
+        f"Line 4, images/left_2.png: the file {UNREADABLE}; leave the cell empty where there is no "
+        "image."
+    )
     assert np.isfinite(found.corners["right_wide"][2]).all()
 
 
@@ -204,29 +204,31 @@ SQUARE = replace(CHARUCO, squares_y=6)
 @pytest.mark.parametrize(
     ("there", "described", "said"),
     [
-        (CHESSBOARD, {"columns": 7, "rows": 6}, "one of 6 x 5 is there.*not its squares"),
-        (CHESSBOARD, {"columns": 4, "rows": 4}, "6 x 5 is there: set board.columns to 6 and .* 5"),
-        (CHESSBOARD, {"columns": 7}, "one of 6 x 5 is there"),
-        (FIVE, {"squares_x": 7, "squares_y": 5}, "one of 5 x 7 squares is there: exchange"),
-        (FIVE, {"dictionary": "DICT_6X6_50"}, "other markers is there: set board.dictionary to DI"),
-        (CHARUCO, {"squares_x": 7}, "set board.squares_x to 6 and board.squares_y to 5"),
-        (SQUARE, {"legacy": True}, "of the other pattern is there: set board.legacy to false"),
+        (
+            CHESSBOARD,
+            {"columns": 7, "rows": 6},
+            "a chessboard of 6 x 5 inner corners is there.*not its squares",
+        ),
+        (CHESSBOARD, {"columns": 4, "rows": 4}, "set board.columns to 6, board.rows to 5"),
+        (CHESSBOARD, {"columns": 7}, "a chessboard of 6 x 5 inner corners is there"),
+        (FIVE, {"squares_x": 7, "squares_y": 5}, "set board.squares_x to 5, board.squares_y to 7"),
+        (FIVE, {"dictionary": "DICT_6X6_50"}, "is there: set board.dictionary to DICT_5X5"),
+        (CHARUCO, {"squares_x": 7}, "set board.squares_x to 6"),
+        (SQUARE, {"legacy": True}, "is there: set board.legacy to false"),
         (
             replace(SQUARE, legacy=True, dictionary="DICT_5X5_50"),
             {"squares_x": 5, "legacy": False, "dictionary": "DICT_4X4_50"},
-            "set board.dictionary to DICT_5X5_.*, set board.squares_x to 6 and board.squares_y to "
-            "6, set board.legacy to true",
+            "set board.squares_x to 6, board.dictionary to DICT_5X5_.*, board.legacy to true",
         ),
         (
             CHARUCO,
             board_json(CHESSBOARD),
-            "set board.kind to charuco, board.dictionary to DICT_4X4_50, board.squares_x to 6, "
-            "board.squares_y to 5",
+            "set board.squares_x to 6, board.squares_y to 5, .*DICT_4X4_50, .*charuco",
         ),
         (
             CHESSBOARD,
             board_json(CHARUCO),
-            "set board.kind to chessboard, board.columns to 6 and board.rows to 5",
+            "set board.columns to 6, board.rows to 5, board.kind to chessboard",
         ),
     ],
 )
@@ -264,8 +266,7 @@ def test_mirrored_images_are_named(folder, eyes):
             image = cv2.imread(str(path))
             assert image is not None
             assert cv2.imwrite(str(path), image[:, ::-1])
-    where = "left_wide" if eyes == ("left",) else ".*set"
-    said = rf"No image of {where} shows a charuco .*; its mirror image is there: store the images"
+    said = r"No image of left_wide shows a charuco .*; its mirror image is there: store the images"
     with pytest.raises(VergenceError, match=said):
         detect_target(load_dataset(folder))
 

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.observations import NO_CORNERS, Observations
+from vergence.calibration.observations import NO_CORNERS, UNREADABLE_IMAGE, Observations
 from vergence.calibration.other_boards import ANOTHER, mirrored, other_board, why_not_found
 from vergence.data.dataset import Dataset, runs
 from vergence.data.images import UNREADABLE
@@ -34,7 +34,7 @@ SYSTEMATIC_PX = 0.002
 """Systematic error of the detector, smooth over the image: assumed. It was at most 0.0011 px in
 each of 28 cameras, on boards that were rendered, or drawn before lenses of several kinds; cameras
 that nobody drew may do worse, and the intrinsics absorb most of this error."""
-DAMAGED = f"the file {UNREADABLE}"
+DAMAGED = f"the file {UNREADABLE}; leave the cell empty where there is no image"
 _PROBES = 4  # images on which other boards are tried when none was found
 _FIRST = 12
 """Images, spread over the recording, that are searched first: where none shows the board, and half
@@ -88,24 +88,17 @@ def detect_target(dataset: Dataset, *, progress: Progress = silent) -> Observati
                 found.append(each)
                 progress(task, len(found), len(jobs))
             if part is first and rest:
-                _check_first(dataset, found)
+                _check_board(dataset, found, all_images=False)
     order = {job: k for k, job in enumerate(jobs)}
     found.sort(key=lambda each: order[each.camera, each.row])
     found = _without_repeats(dataset, found)
-    _check_described(dataset, found)
+    _check_board(dataset, found, all_images=True)
     board, cameras = dataset.description.board, dataset.description.cameras
     shape = (len(dataset), board.columns * board.rows, 2)
     corners = {name: np.full(shape, np.nan) for name in dataset.files}
-    findings = [*_unreadable(dataset, found), *dataset.findings]
     for each in found:
         if each.corners is not None:
             corners[each.camera][each.row] = each.corners
-    findings += [
-        note("blind-camera", f"{name} never sees the board.", name)
-        for name, c in corners.items()
-        if not np.isfinite(c).any()
-    ]
-    findings += [_without_corners(dataset, each) for each in found if each.corners is None]
     return Observations(
         board=board,
         placement=dataset.placement,
@@ -118,33 +111,24 @@ def detect_target(dataset: Dataset, *, progress: Progress = silent) -> Observati
         T_base_eye=dataset.T_base_eye,
         lines=np.asarray(dataset.lines),
         systematic_px=SYSTEMATIC_PX,
-        findings=tuple(findings),
+        findings=(*dataset.findings, *_findings(dataset, found)),
     )
 
 
-def _without_corners(dataset: Dataset, missed: _Detection) -> Finding:
-    """Name an image without corners, and say why it has none."""
-    line, file = dataset.lines[missed.row], dataset.files[missed.camera][missed.row]
-    return note(
-        NO_CORNERS, f"Line {line}, {file}: {missed.reason}.", f"line {line}, {missed.camera}"
-    )
-
-
-def _unreadable(dataset: Dataset, found: list[_Detection]) -> list[Finding]:
-    """Return a note on files that are no images; one of them does not spoil a long recording.
-
-    Those that are missing or of another size have been refused.
-    """
-    bad = [each for each in found if each.reason == DAMAGED]
-    if not bad:
-        return []
-    first = bad[0]
-    others = f", and so are {len(bad) - 1} more of its images" if len(bad) > 1 else ""
-    sentence = (
-        f"{dataset.where(first.row)}: {first.camera}: {dataset.files[first.camera][first.row]} "
-        f"{UNREADABLE}{others}; leave the cell empty where there is no image."
-    )
-    return [note("unreadable-image", sentence, f"line {dataset.lines[first.row]}, {first.camera}")]
+def _findings(dataset: Dataset, found: list[_Detection]) -> list[Finding]:
+    """Note images without corners, and cameras that never see the board."""
+    findings = []
+    for camera in dataset.files:
+        own = [each for each in found if each.camera == camera]
+        if all(each.corners is None for each in own):
+            findings.append(note("blind-camera", f"{camera} never sees the board.", camera))
+    for each in found:
+        if each.corners is None:
+            line = dataset.lines[each.row]
+            sentence = f"Line {line}, {dataset.files[each.camera][each.row]}: {each.reason}."
+            code = UNREADABLE_IMAGE if each.reason == DAMAGED else NO_CORNERS
+            findings.append(note(code, sentence, f"line {line}, {each.camera}"))
+    return findings
 
 
 def _detect(dataset: Dataset, camera: str, row: int) -> _Detection:
@@ -223,44 +207,30 @@ def _without_repeats(dataset: Dataset, seen: list[_Detection]) -> list[_Detectio
     return kept
 
 
-def _check_first(dataset: Dataset, found: list[_Detection]) -> None:
-    """Raise a VergenceError if none of the first images shows the board, and half another one."""
-    if any(each.corners is not None for each in found):
-        return
-    images = _probes(dataset, found)
-    cause = other_board(images, dataset.description.board, least=len(images) // 2)
-    if cause is not None:
-        where = f"{dataset.folder}, of {len(found)} all over it,"
-        raise VergenceError(f"{_shown(dataset, found, where)}; {cause}.")
+def _check_board(dataset: Dataset, found: list[_Detection], *, all_images: bool) -> None:
+    """Refuse images of which more show another board than the one described, or mirrored ones.
 
-
-def _check_described(dataset: Dataset, found: list[_Detection]) -> None:
-    """Raise a VergenceError if no image shows the board, or more show another one.
-
-    Then the board is described wrongly: some views of some of its markers agree with the
-    description by chance.
+    A few views of markers of another board agree with the description by chance. Of the first
+    images at least half have to show another board.
     """
-    seen = sum(each.corners is not None for each in found)
-    if seen:
-        _check_not_mirrored(dataset, found)
-    if seen > sum(each.reason == ANOTHER for each in found):
-        return
-    images = _probes(dataset, [each for each in found if each.corners is None])
     board = dataset.description.board
-    cause = mirrored(images, board) or other_board(images, board)
-    raise VergenceError(
-        f"{_shown(dataset, found, str(dataset.folder))}; {cause or 'check board in dataset.json'}."
-    )
-
-
-def _check_not_mirrored(dataset: Dataset, found: list[_Detection]) -> None:
-    """Raise a VergenceError if all images of a camera that never sees the board are mirrored."""
-    for camera in dataset.files:
-        own = [each for each in found if each.camera == camera]
-        if own and all(each.corners is None for each in own):
-            cause = mirrored(_probes(dataset, own), dataset.description.board)
-            if cause is not None:
+    missed = [each for each in found if each.corners is None]
+    if all_images:
+        for camera in dataset.files:
+            own = [each for each in found if each.camera == camera]
+            blind = bool(own) and all(each.corners is None for each in own)
+            if blind and (cause := mirrored(_probes(dataset, own), board)):
                 raise VergenceError(f"{_shown(dataset, own, camera)}; {cause}.")
+    if len(found) - len(missed) > sum(each.reason == ANOTHER for each in missed):
+        return
+    images = _probes(dataset, missed)
+    cause = other_board(images, board, least=1 if all_images else len(images) // 2)
+    if cause or all_images:
+        where = (
+            str(dataset.folder) if all_images else f"{dataset.folder}, of {len(found)} all over it,"
+        )
+        cause = cause or "check board in dataset.json"
+        raise VergenceError(f"{_shown(dataset, found, where)}; {cause}.")
 
 
 def _shown(dataset: Dataset, found: list[_Detection], where: str) -> str:

@@ -20,8 +20,8 @@ from vergence.geometry.head import HeadCalibration, check_camera_name
 from vergence.geometry.kinematics import EYES, Kinematics, Side, T_base_eye
 from vergence.geometry.se3 import check_rigid, inverse, known_poses, mean_pose
 
-NO_CORNERS = "no-corners"
-"""Code of the note on an image that gave no corners."""
+NO_CORNERS, UNREADABLE_IMAGE = "no-corners", "unreadable-image"
+"""Codes of the notes on images that gave no corners."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,7 @@
-"""Corners that are not where their neighbours in the image say: of a reflection, or another corner.
+"""Leave out corners that are not where their neighbours in the image, or an estimate, put them.
 
-A board's corners lie evenly on it, and nearly so in a small part of any image. A lens need not be
-known, so that such corners are left out before they spoil its fit, which is least squares.
+A board's corners lie evenly on it, and nearly so in a small part of any image. So stray ones are
+found before a lens is known, whose fit by least squares they would spoil.
 """
 
 from __future__ import annotations
@@ -17,21 +17,13 @@ from vergence.calibration.observations import Observations
 from vergence.errors import counted
 from vergence.findings import note
 
-LEAST = 0.35
-"""Distance from where the neighbours say, in sides of a square in the image, below which no corner
-is called stray: lenses with k3 make nearly as much at the edge of an image, and those corners tell
-most of k3. Smaller errors bundle adjustment finds."""
-TYPICAL = 6.0
-"""Least distance of a stray corner from there, in units of what is typical of the image."""
-CLEAR = 3.0
-"""Least distance of a stray corner from there, in units of how far neighbours disagree: where a
-lens bends most, they do."""
-
-OUTLIER_STDS = 6.0
-"""Standard deviations of a coordinate from which a corner is an outlier of an estimate: noise makes
-one of 70 million."""
-MOST_OUTLIERS = 0.15
-"""Part of an image's corners that may be: one of seven; of a wrong image or reading most are."""
+LEAST, TYPICAL, CLEAR = 0.35, 6.0, 3.0
+"""Minimum distance of a stray corner from where its neighbours put it: in sides of a square (lenses
+with k3 make nearly as much at the edge of an image), in units of the median of the image, and of
+the disagreement of the neighbours."""
+OUTLIER_STDS, MOST_OUTLIERS = 6.0, 0.15
+"""Standard deviations from which a corner is an outlier (noise makes one of 70 million), and the
+largest share of outliers in an image; of a wrong image or reading most corners are."""
 
 
 def without_strays(observations: Observations) -> Observations:
@@ -54,15 +46,10 @@ def without_strays(observations: Observations) -> Observations:
 def without_outliers(
     observations: Observations, residuals_px: Mapping[str, Array], std_px: Mapping[str, float]
 ) -> Observations:
-    """Return the observations without corners that an estimate contradicts or has left out.
+    """Leave out single corners that an estimate contradicts or has left out.
 
-    Single ones only: where many of an image are off, the image or its readings are wrong, and all
-    stay.
-
-    Args:
-        observations: of V views.
-        residuals_px: by camera (V, K, 2), NaN where not seen or left out.
-        std_px: by camera the noise of one coordinate.
+    Where many of an image are off, the image or its readings are wrong, and all stay. By camera,
+    residuals_px (V, K, 2) are NaN where not seen, and std_px is the noise of one coordinate.
     """
     corners = dict(observations.corners)
     for name in corners.keys() & residuals_px.keys() & std_px.keys():

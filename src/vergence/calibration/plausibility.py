@@ -1,9 +1,9 @@
-"""Whether readings and images belong together: one table of mistakes, and one way to score them.
+"""Whether readings and images belong together: one table of mistakes, and one score for them.
 
 Between two views of a board at rest an eye turns by A, as read, and its camera by B, as the images
-show: A X = X B with X = R_eye_cam (Park and Martin 1994). Readings that are not what the
-description says do not fit. Each row of `MISTAKES` undoes one mistake; the row whose data fit
-clearly better than the data as they are is named.
+show: A X = X B with X = R_eye_cam (Park and Martin 1994). Readings or measured poses that are not
+as described do not fit. Each row of `MISTAKES` undoes one mistake; the row after which the data fit
+clearly better is named.
 """
 
 from __future__ import annotations
@@ -16,16 +16,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from vergence.arrays import Array
-from vergence.calibration.board_numbering import (
-    EXACT_RAD,
-    MOST_PAIRED,
-    fit_turns,
-    nearest_numbering,
-)
+from vergence.calibration.board_numbering import EXACT_RAD, fit_turns, nearest_numbering
 from vergence.calibration.observations import Observations, camera_eyes, most_seen, readable
 from vergence.errors import VergenceError, listed
 from vergence.findings import Finding, note, void, warning
-from vergence.geometry.board import Board
 from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.joints import Joint
@@ -40,49 +34,40 @@ from vergence.geometry.kinematics import (
 from vergence.geometry.se3 import angle, inverse, known_poses, nearest_rotation, pose, rotvec
 from vergence.stereo.extrinsics import stereo_cameras
 
-LEAST_VIEWS_AT_REST = 6
-"""Minimum number of views of a board at rest that can contradict readings or poses."""
+LEAST_VIEWS = 6
+"""Minimum number of views of a board at rest that can contradict what was read."""
 LEAST_SPREAD_RAD = 0.02
 """Minimum root mean square turn about the second axis; below it noise of half a degree decides."""
-CLEARLY_BETTER = 3.0
-"""Ratio of misfits from which data fit clearly better; exchanged eyes that differ by three times
-their noise reach it."""
-NOISY = 0.45
-"""Misfit relative to the turns from which readings are noisy: half a degree at the least spread."""
+CLEARLY_BETTER, ALIKE = 3.0, 1.2
+"""Ratios of misfits from which data fit clearly better, and up to which they fit alike."""
+NOISY, UNRELATED = 0.45, 0.7
+"""Misfits relative to the turns from which readings are noisy (half a degree at the least spread),
+and from which they have nothing to do with the images."""
 NOISY_RAD = np.radians(3.0)
-"""Misfit that no noise of readings makes [rad]."""
-UNRELATED = 0.7
-"""Misfit relative to the turns from which readings and images have nothing in common."""
+"""Misfit that no noise of readings makes."""
 AHEAD = 0.3
 """Minimum cosine between a camera's axis and the eye's x axis; some cameras look aside."""
-GAINS = (0.6, 1.6)
-"""Range of the gain of a joint that is calibrated; another one means another unit or joint."""
-LENGTHS = (0.8, 1.25)
-"""Range of the length of a metre in measured poses; other ones are no error of a board's size."""
-UNITS = {"degrees": 1 / np.degrees(1), "radians": np.degrees(1)}
-"""Gain of readings that are in a unit but stated to be in the other one."""
-METRES = {"millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254, "kilometres": 1e3}
-"""Length of one unit [m]."""
+UPRIGHT = 0.1
+"""Difference of cosines up to which cameras are equally upright."""
+GAINS, LENGTHS = (0.6, 1.6), (0.8, 1.25)
+"""Ranges of the gain of a joint, and of the length of a metre in measured poses, that are
+calibrated; others mean another unit or joint."""
+UNITS = {"degrees": np.radians(1), "radians": np.degrees(1)}
+"""Gains of readings that are in a unit and described in the other one."""
+METRES = {"millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254}
+"""Lengths of units [m]."""
 UNIT_WITHIN = 0.1
 """Relative tolerance with which a length is recognised as a unit."""
 FARTHEST_M = 10.0
 """Distance of an eye from its base beyond which poses are not in metres."""
-OUTLIER, OUTLIER_RAD = 6.0, np.radians(1.0)
-"""A pose contradicts the others beyond this multiple of the median misfit, and this much."""
-MOST_OUTLIERS = 0.25
-"""Largest share of such poses; more of them put all poses in doubt."""
-ALIKE = 1.2
-"""Ratio of misfits up to which two explanations are equally good."""
-UPRIGHT = 0.1
-"""Difference of cosines up to which cameras are equally upright."""
+OUTLIER, OUTLIER_RAD, MOST_OUTLIERS = 6.0, np.radians(1.0), 0.25
+"""A pose contradicts the others beyond this multiple of the median misfit and this angle, unless
+more than this share of them do."""
 LEAST_BASELINE_M = 1e-3
 """Minimum distance between the cameras of two eyes."""
-MOST_TURNED_DEG = 30.0
-"""Between the bases of the eyes; their axes are the head's, as built."""
-ASIDE = 0.7
-"""Minimum cosine of the angle between the line through the eyes and the head's y axis."""
-AS_ONE = 0.2
-"""Largest difference of factors, relative to the largest one, of eyes that turn as one."""
+MOST_TURNED_DEG, ASIDE = 30.0, 0.7
+"""Largest angle between the bases of the eyes, and minimum cosine between the line through the eyes
+and the head's y axis, of heads as they are built."""
 USUAL_BASELINE_M = 0.02, 0.5
 """Range of baselines of heads."""
 NAMED = 5
@@ -91,7 +76,7 @@ NAMED = 5
 
 @dataclass(frozen=True, eq=False)
 class EyeViews:
-    """Views of one eye's camera before the board that it sees most often at rest."""
+    """N views of one eye's camera before the board that it sees most often at rest."""
 
     camera: str
     e: int
@@ -101,13 +86,13 @@ class EyeViews:
     T_cam_target: Array
     """(N, 4, 4)."""
     to_left: Array | None
-    """(3,) unit vector in frame cam, along the line through both cameras and towards the left one;
-    None: no view shows the board to both."""
+    """(3,) unit vector in frame cam from the right camera towards the left one; None: no view shows
+    the board to both."""
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What was read, how it is described, and what the images show."""
+    """What was read in V views, how it is described, and what the images show."""
 
     kinematics: Kinematics
     readings: Array
@@ -119,133 +104,113 @@ class Evidence:
 
 @dataclass(frozen=True, eq=False)
 class TurnFit:
-    """How well the readings of one eye explain the turns of its camera."""
+    """How well what was read of one eye explains the turns of its camera."""
 
-    share: float
-    """Median misfit relative to the median turn, at least that of EXACT_RAD; 1 if impossible."""
     turn_rad: float
     """Median turn between two views."""
-    misfit_rad: float
-    """Median over the views."""
     by_view: Array
     """(N,) misfit of each view [rad]; NaN where nothing was read."""
-    names: tuple[str, ...]
-    gains: Array
-    """By name: the turn in the images relative to that of the reading; of poses the length of
-    their metre."""
+    gains: Mapping[str, float]
+    """By reading how far the eye turns relative to it; of poses the length of their metre."""
     symptom: str
     """What is impossible; empty: nothing."""
-    upright: float
+    upright: float = 0.0
     """Cosine between the eye's y axis and the direction to the left."""
 
+    @property
+    def misfit_rad(self) -> float:
+        """Median misfit of the views."""
+        return float(np.nanmedian(self.by_view))
 
-def fit_gains(kinematics: Kinematics, e: int, readings: Array, turn: Array) -> Array:
-    """Estimate by what factor each reading of an eye turns it farther than described.
-
-    Turns (N, 3) of a camera are linear in readings (N, u) of its eye as long as they are small. The
-    fit is to three quarters of the views (least trimmed squares), first to those of usual readings.
-    """
-    used = kinematics.used(EYES[e])
-    chain = kinematics.chains[EYES[e]]
-    away = np.abs(readings - np.median(readings, axis=0))
-    away = (away / np.maximum(np.median(away, axis=0), 1e-9)).max(axis=1)
-    kept = away <= np.quantile(away, 1 - MOST_OUTLIERS)
-    rows, w = np.column_stack([readings, np.ones(len(readings))]), np.zeros((len(used) + 1, 3))
-    for _ in range(10):
-        w = np.linalg.lstsq(rows[kept], turn[kept], rcond=None)[0]
-        off = np.linalg.norm(turn - rows @ w, axis=1)
-        kept = off <= np.quantile(off, 1 - MOST_OUTLIERS)
-    w, d = w[:-1], chain.mixing[:, used].T @ chain.axes
-    lengths = np.linalg.norm(w, axis=1), np.linalg.norm(d, axis=1)
-    moved = readings[kept].std(axis=0)
-    # A reading that turns the eye little, by the images and as described, has no gain of its own.
-    turned = moved * np.array(lengths)
-    still = (turned < 0.1 * turned.max(axis=1, keepdims=True)).all(axis=0)
-    w[still] = 0.0
-    unit_w, unit_d = (
-        x / np.maximum(n, 1e-12)[:, None] for x, n in zip((w, d), lengths, strict=True)
-    )
-    R = nearest_rotation(unit_w.T @ unit_d)
-    return np.where(still, 1.0, (w * (d @ R.T)).sum(axis=1) / lengths[1] ** 2)
-
-
-def fit_lengths(T_base_eye: Array, T_cam_target: Array, R: Array) -> tuple[float | None, Array]:
-    """Fit the metre of measured poses to the motions between views, robustly (L1).
-
-    (R_A - 1) t_X + metre t_A = R t_B is linear in t_X and the metre. Returns its length, None where
-    the eye turns about a point, and the median misfit (N,) [m] of each view.
-    """
-    N = len(T_base_eye)
-    paired = np.unique(np.linspace(0, N - 1, MOST_PAIRED).astype(int))
-    A = inverse(T_base_eye[paired])[:, None] @ T_base_eye
-    B = T_cam_target[paired][:, None] @ inverse(T_cam_target)
-    rows = np.concatenate([A[..., :3, :3] - np.eye(3), A[..., :3, 3:]], axis=-1).reshape(-1, 4)
-    lengths = np.maximum(np.linalg.norm(rows, axis=0), 1e-6)  # shorter ones are rounding
-    about_a_point = np.linalg.cond(rows / lengths) > 1e4
-    right = B[..., :3, 3] @ R.T
-    if about_a_point:
-        right, rows = right - A[..., :3, 3], rows[:, :3]
-    weights, off, found = np.ones(rows.shape[0]), np.zeros(A.shape[:2]), np.ones(4)
-    for _ in range(10):
-        found = np.linalg.lstsq(rows * weights[:, None], right.ravel() * weights)[0]
-        off = np.linalg.norm(right - (rows @ found).reshape(right.shape), axis=-1)
-        weights = np.repeat(1 / np.sqrt(np.maximum(off.ravel(), 1e-6)), 3)
-    off[np.arange(len(paired)), paired] = np.nan
-    return None if about_a_point else float(found[3]), np.nanmedian(off, axis=0)
+    @property
+    def share(self) -> float:
+        """Misfit relative to the turn; 1 if something is impossible."""
+        return 1.0 if self.symptom else max(self.misfit_rad, EXACT_RAD) / self.turn_rad
 
 
 def fit_eye(evidence: Evidence, views: EyeViews) -> TurnFit:
     """Fit what was read of an eye to the turns of its camera."""
-    kinematics, eye = evidence.kinematics, EYES[views.e]
-    used = kinematics.used(eye)
-    by_view, upright = np.full(len(views.rows), np.nan), 0.0
+    by_view = np.full(len(views.rows), np.nan)
     if evidence.T_base_eye is not None:
         T = evidence.T_base_eye[views.rows, views.e]
         known = known_poses(T)
-        names: tuple[str, ...] = (f"the poses of the {eye} eye",)
-        R, by_view[known], turn = fit_turns(T[known, :3, :3], views.T_cam_target[known, :3, :3])
-        metre, _ = fit_lengths(T[known], views.T_cam_target[known], R)
-        far = float(np.median(np.linalg.norm(T[known][:, :3, 3], axis=1)))
-        if metre is None:  # nothing but the distance of the point shows the unit
-            metre = 1.0 if far < FARTHEST_M else METRES["millimetres"]
-        if np.nanmedian(by_view) > NOISY * turn:
-            metre = 1.0  # of other poses lengths mean nothing
-        gains, limits, symptom = np.array([metre]), LENGTHS, ""
-    else:
-        readings = evidence.readings[views.rows]
-        known = np.asarray(np.isfinite(readings[:, used]).all(axis=1))
-        if known.sum() < LEAST_VIEWS_AT_REST:
-            return TurnFit(1.0, 1.0, 1.0, by_view, (), np.array([]), "too few are known", 0.0)
-        R_cam = views.T_cam_target[known, :3, :3]
-        names = tuple(kinematics.readings[r] for r in used)
-        gains, limits = (
-            fit_gains(kinematics, views.e, readings[known][:, used], turns(R_cam)),
-            GAINS,
-        )
-        fits = []
-        for factors in (np.ones(len(used)), gains):  # the linear fit is rough for large turns
-            scaled = np.zeros((int(known.sum()), readings.shape[1]))
-            scaled[:, used] = readings[known][:, used] * factors
-            fits.append(fit_turns(T_base_eye(kinematics, eye, scaled)[:, :3, :3], R_cam))
-        R, by_view[known], turn = min(fits, key=lambda each: float(np.median(each[1])))
-        side = None if views.to_left is None else float(R[1] @ views.to_left)
-        upright = float(R[1] @ [-1.0, 0.0, 0.0]) if side is None else side
-        symptom = ""
-        if R[0, 2] < AHEAD:
-            symptom = f"by them {views.camera} would look backwards or aside out of its eye"
-        elif side is not None and side < 0:
-            symptom = f"by them {views.camera} would stand on the wrong side of the other eye"
-    wrong = (gains < limits[0]) | (gains > limits[1])
-    if wrong.any():
-        k = int(np.argmax(wrong))
-        symptom = f"{views.camera} turns by {gains[k]:.3g} times the readings of {names[k]}"
-        if evidence.T_base_eye is not None:
-            symptom = (
-                f"by the images of {views.camera} a length of 1 in them measures {gains[0]:.4g} m"
-            )
-    misfit = float(np.nanmedian(by_view))
-    share = 1.0 if symptom else max(misfit, EXACT_RAD) / turn
-    return TurnFit(share, turn, misfit, by_view, names, gains, symptom, upright)
+        T, T_cam = T[known], views.T_cam_target[known]
+        R, by_view[known], turn = fit_turns(T[:, :3, :3], T_cam[:, :3, :3])
+        # Of poses that do not fit lengths mean nothing.
+        metre = _metre(T, T_cam, R) if np.nanmedian(by_view) < NOISY * turn else 1.0
+        symptom = f"by the images of {views.camera} a length of 1 in them measures {metre:.4g} m"
+        possible = LENGTHS[0] < metre < LENGTHS[1]
+        return TurnFit(turn, by_view, {"poses": metre}, "" if possible else symptom)
+    kinematics, eye = evidence.kinematics, EYES[views.e]
+    used, readings = kinematics.used(eye), evidence.readings[views.rows]
+    known = np.asarray(np.isfinite(readings[:, used]).all(axis=1))
+    if known.sum() < LEAST_VIEWS:
+        return TurnFit(1.0, np.ones(len(known)), {}, "too few are known")
+    readings, R_cam = readings[known], views.T_cam_target[known, :3, :3]
+    gains, fits = _gains(kinematics, eye, readings[:, used], turns(R_cam)), []
+    for factors in (1.0, gains):  # the linear fit of the gains is rough for large turns
+        scaled = np.zeros_like(readings)
+        scaled[:, used] = readings[:, used] * factors
+        fits.append(fit_turns(T_base_eye(kinematics, eye, scaled)[:, :3, :3], R_cam))
+    R, by_view[known], turn = min(fits, key=lambda fit: np.median(fit[1]))
+    to_left = np.array([-1.0, 0.0, 0.0]) if views.to_left is None else views.to_left
+    upright, symptom = float(R[1] @ to_left), ""
+    if R[0, 2] < AHEAD:
+        symptom = f"by them {views.camera} would look backwards or aside out of its eye"
+    elif views.to_left is not None and upright < 0:
+        symptom = f"by them {views.camera} would stand on the wrong side of the other eye"
+    of_names = {kinematics.readings[r]: float(g) for r, g in zip(used, gains, strict=True)}
+    for name, gain in of_names.items():
+        if not GAINS[0] < gain < GAINS[1]:
+            symptom = f"{views.camera} turns by {gain:.3g} times the readings of {name}"
+    return TurnFit(turn, by_view, of_names, symptom, upright)
+
+
+def _gains(kinematics: Kinematics, eye: Side, readings: Array, turn: Array) -> Array:
+    """Estimate how far each reading (N, u) of an eye turns it, relative to the description.
+
+    Turns (N, 3) of a camera are linear in the readings as long as they are small. Least trimmed
+    squares: the fit is to three quarters of the views, first to those of usual readings.
+    """
+    away = np.abs(readings - np.median(readings, axis=0))
+    off = (away / np.maximum(np.median(away, axis=0), 1e-9)).max(axis=1)
+    rows = np.column_stack([readings, np.ones(len(readings))])
+    w, kept = np.zeros((rows.shape[1], 3)), off
+    for _ in range(10):
+        kept = off <= np.quantile(off, 1 - MOST_OUTLIERS)
+        w = np.linalg.lstsq(rows[kept], turn[kept], rcond=None)[0]
+        off = np.linalg.norm(turn - rows @ w, axis=1)
+    chain = kinematics.chains[eye]
+    w, d = w[:-1], chain.mixing[:, kinematics.used(eye)].T @ chain.axes
+    lengths = np.linalg.norm([w, d], axis=2)
+    # A reading that turns the eye little, by the images and as described, has no gain of its own.
+    turned = readings[kept].std(axis=0) * lengths
+    still = (turned < 0.1 * turned.max(axis=1, keepdims=True)).all(axis=0)
+    w[still] = 0.0
+    R = nearest_rotation((w / np.maximum(lengths[0], 1e-12)[:, None]).T @ (d / lengths[1][:, None]))
+    return np.where(still, 1.0, (w * (d @ R.T)).sum(axis=1) / lengths[1] ** 2)
+
+
+def _metre(T_base_eye: Array, T_cam_target: Array, R: Array) -> float:
+    """Measure the metre of measured poses (N, 4, 4) by the images, in metres.
+
+    (R_A - 1) t_X + metre t_A = R t_B between two views is linear in t_X and the metre. Where the
+    eye turns about a point nothing but the distance of that point shows another unit.
+    """
+    first = np.linalg.norm(turns(T_cam_target[:, :3, :3]), axis=1).argmin()
+    A = inverse(T_base_eye[first]) @ T_base_eye
+    B = T_cam_target[first] @ inverse(T_cam_target)
+    rows = np.concatenate([A[:, :3, :3] - np.eye(3), A[:, :3, 3:]], axis=2)
+    lengths = np.maximum(np.linalg.norm(rows.reshape(-1, 4), axis=0), 1e-6)  # shorter is rounding
+    if np.linalg.cond(rows.reshape(-1, 4) / lengths) > 1e4:
+        far = float(np.median(np.linalg.norm(T_base_eye[:, :3, 3], axis=1)))
+        return 1.0 if far < FARTHEST_M else METRES["millimetres"]
+    right, off, found = B[:, :3, 3] @ R.T, np.zeros(len(A)), np.zeros(4)
+    for _ in range(10):
+        kept = off <= np.quantile(off, 1 - MOST_OUTLIERS)
+        found = np.linalg.lstsq(rows[kept].reshape(-1, 4), right[kept].ravel())[0]
+        off = np.linalg.norm(right - rows @ found, axis=1)
+    return float(found[3])
 
 
 def turns(R_cam_target: Array) -> Array:
@@ -258,10 +223,6 @@ def turns(R_cam_target: Array) -> Array:
 # The mistakes. Each yields what was mistaken, in words, and the evidence without the mistake.
 
 Variants = Iterator[tuple[str, Evidence]]
-
-
-def _with_columns(evidence: Evidence, change: Array) -> Evidence:
-    return replace(evidence, readings=evidence.readings @ change)
 
 
 def _table(evidence: Evidence) -> str:
@@ -296,7 +257,11 @@ def _exchanged_readings(evidence: Evidence, _: list[TurnFit]) -> Variants:
 def _exchanged_eyes(evidence: Evidence, _: list[TurnFit]) -> Variants:
     if len(evidence.eyes) < 2:
         return
-    of_images = replace(evidence, eyes=tuple(map(_of_other_eye, evidence.eyes)))
+    exchanged = [
+        replace(views, e=1 - views.e, to_left=None if views.to_left is None else -views.to_left)
+        for views in evidence.eyes
+    ]
+    of_images = replace(evidence, eyes=tuple(exchanged))
     yield "left and right are exchanged in the images", of_images
     what, read = "eye poses", None
     if evidence.T_base_eye is not None:
@@ -307,10 +272,6 @@ def _exchanged_eyes(evidence: Evidence, _: list[TurnFit]) -> Variants:
         yield f"left and right are exchanged in the {what}", replace(evidence, **read)
         both = replace(of_images, **read)
         yield f"left and right are exchanged in both the images and the {what}", both
-
-
-def _of_other_eye(views: EyeViews) -> EyeViews:
-    return replace(views, e=1 - views.e, to_left=None if views.to_left is None else -views.to_left)
 
 
 def _other_eyes_readings(kinematics: Kinematics) -> list[int] | None:
@@ -325,36 +286,34 @@ def _other_eyes_readings(kinematics: Kinematics) -> list[int] | None:
 
 
 def _units(evidence: Evidence, fits: list[TurnFit]) -> Variants:
-    """Other units, gears and factors: readings and lengths times the gains that the images show."""
-    if evidence.T_base_eye is not None:
-        metre = float(np.median([fit.gains[0] for fit in fits]))
-        if metre < 0:
-            what = "their coordinates are left-handed, or their translations point the other way"
-        else:
-            near = [u for u, m in METRES.items() if abs(metre / m - 1) < UNIT_WITHIN]
-            what = f"they are in {near[0]}; give metres" if near else "check their unit"
-            what += "" if near else ", and board.square_m"
-        T = evidence.T_base_eye.copy()
-        T[..., :3, 3] *= metre
-        yield what, replace(evidence, T_base_eye=T)
-        return
+    """Other units, gears and factors: the readings times the gains that the images show."""
     factors, said = np.ones(evidence.readings.shape[1]), []
-    for fit in fits:
-        for name, gain in zip(fit.names, fit.gains, strict=True):
-            k = evidence.kinematics.readings.index(name)
-            if GAINS[0] < gain < GAINS[1] or gain <= 0 or factors[k] != 1:
-                continue
-            factors[k] = gain
-            is_in = [u for u, g in UNITS.items() if GAINS[0] < gain / g < GAINS[1]]
-            if is_in:
-                unit = {"degrees": "deg", "radians": "rad"}[is_in[0]]
-                said.append(
-                    f"{name}: they are {is_in[0]}; set {_table(evidence)}.{name}.unit to {unit}"
-                )
-            else:
-                said.append(f"{name}: check its unit, its gear or factor, and its column")
+    for name, gain in {name: gain for fit in fits for name, gain in fit.gains.items()}.items():
+        if GAINS[0] < gain < GAINS[1] or gain <= 0:
+            continue
+        factors[evidence.kinematics.readings.index(name)] = gain
+        cure = "check its unit, its gear or factor, and its column"
+        for unit, of_unit in UNITS.items():
+            if GAINS[0] < gain / of_unit < GAINS[1]:
+                cure = f"they are {unit}; set {_table(evidence)}.{name}.unit to {unit[:3]}"
+        said.append(f"{name}: {cure}")
     if said:
         yield "; ".join(said), replace(evidence, readings=evidence.readings * factors)
+
+
+def _lengths(evidence: Evidence, fits: list[TurnFit]) -> Variants:
+    """Other units of length: the translations of the poses in metres of the images."""
+    metre = float(np.median([fit.gains["poses"] for fit in fits]))
+    what = "check their unit, and board.square_m"
+    if metre < 0:
+        what = "their coordinates are left-handed, or their translations point the other way"
+    for unit, of_unit in METRES.items():
+        if abs(metre / of_unit - 1) < UNIT_WITHIN:
+            what = f"they are in {unit}; give metres"
+    assert evidence.T_base_eye is not None
+    T = evidence.T_base_eye.copy()
+    T[..., :3, 3] *= metre
+    yield what, replace(evidence, T_base_eye=T)
 
 
 def _orders_of_joints(evidence: Evidence, _: list[TurnFit]) -> Variants:
@@ -375,15 +334,13 @@ def _orders_of_joints(evidence: Evidence, _: list[TurnFit]) -> Variants:
 
 def _shifted_rows(evidence: Evidence, _: list[TurnFit]) -> Variants:
     for by, when in ((-1, "late"), (1, "early")):
-        end = -1 if by < 0 else 0
-        readings = np.roll(evidence.readings, by, axis=0)
-        readings[end] = np.nan
-        moved = replace(evidence, readings=readings)
-        if evidence.T_base_eye is not None:
-            T = np.roll(evidence.T_base_eye, by, axis=0)
-            T[end] = np.nan
-            moved = replace(moved, T_base_eye=T)
-        yield f"they stand one row too {when}", moved
+        lost = slice(-1, None) if by < 0 else slice(1)
+        readings, T = np.roll(evidence.readings, by, axis=0), evidence.T_base_eye
+        readings[lost] = np.nan
+        if T is not None:
+            T = np.roll(T, by, axis=0)
+            T[lost] = np.nan
+        yield f"they stand one row too {when}", replace(evidence, readings=readings, T_base_eye=T)
 
 
 def _other_poses(evidence: Evidence, _: list[TurnFit]) -> Variants:
@@ -392,70 +349,68 @@ def _other_poses(evidence: Evidence, _: list[TurnFit]) -> Variants:
     assert T is not None
     yield "they are inverted (T_eye_base)", replace(evidence, T_base_eye=inverse(T))
     known = known_poses(T)
-    numbers = Rotation.from_matrix(T[known][:, :3, :3]).as_quat()
-    for what, R in (
-        ("their rotations are transposed", np.swapaxes(T[known][:, :3, :3], 1, 2)),
-        *(
-            (
-                "their quaternions are in another order (x, y, z, w or w, x, y, z)",
-                Rotation.from_quat(np.roll(numbers, by, axis=1)).as_matrix(),
-            )
-            for by in (1, -1)
-        ),
+    R, t = T[known][:, :3, :3], T[known][:, :3, 3]
+    numbers = Rotation.from_matrix(R).as_quat()
+    order = "their quaternions are in another order (x, y, z, w or w, x, y, z)"
+    for what, other in (
+        ("their rotations are transposed", np.swapaxes(R, 1, 2)),
+        (order, Rotation.from_quat(np.roll(numbers, 1, axis=1)).as_matrix()),
+        (order, Rotation.from_quat(np.roll(numbers, -1, axis=1)).as_matrix()),
     ):
-        other = T.copy()
-        other[known] = pose(R, T[known][:, :3, 3])
-        yield what, replace(evidence, T_base_eye=other)
+        poses = T.copy()
+        poses[known] = pose(other, t)
+        yield what, replace(evidence, T_base_eye=poses)
 
 
-def _lost_readings(evidence: Evidence, fits: list[TurnFit]) -> Variants:
-    """One reading is of nothing that turns the eye: the images give what it should have been."""
-    for views, fit in zip(evidence.eyes, fits, strict=True):
+def _lost_readings(evidence: Evidence, _: list[TurnFit]) -> Variants:
+    """One reading has no part in the turns: the images give what it should have been."""
+    for views in evidence.eyes:
         used = evidence.kinematics.used(EYES[views.e])
         chain = evidence.kinematics.chains[EYES[views.e]]
         read = evidence.readings[views.rows]
-        turned = turns(views.T_cam_target[:, :3, :3])
         known = np.isfinite(read[:, used]).all(axis=1)
-        for name, r in zip(fit.names, used, strict=True):
-            others = np.column_stack(
-                [read[known][:, [u for u in used if u != r]], np.ones(known.sum())]
-            )
-            left = turned[known] - others @ np.linalg.lstsq(others, turned[known])[0]
+        read, turned = read[known], turns(views.T_cam_target[known, :3, :3])
+        for r in used:
+            others = np.column_stack([read[:, [u for u in used if u != r]], np.ones(len(read))])
+            left = turned - others @ np.linalg.lstsq(others, turned)[0]
             U, s, _ = np.linalg.svd(left, full_matrices=False)
-            size = np.linalg.norm(chain.mixing[:, r] @ chain.axes)
-            moved = np.std(read[known, r])
+            instead = U[:, 0] * s[0] / np.linalg.norm(chain.mixing[:, r] @ chain.axes)
+            what = (
+                f"{evidence.kinematics.readings[r]}, which changes by {np.std(read[:, r]):.2g} "
+                "rad, has no part in them: check its column and its sensor"
+            )
             for sign in (1, -1):
                 readings = evidence.readings.copy()
-                readings[views.rows[known], r] = sign * U[:, 0] * s[0] / size
-                what = (
-                    f"{name}, which changes by {moved:.2g} rad, has no part in them: check its "
-                    "column and its sensor"
-                )
+                readings[views.rows[known], r] = sign * instead
                 yield what, replace(evidence, readings=readings)
 
 
-MISTAKES: tuple[tuple[str, str, Callable[[Evidence, list[TurnFit]], Variants]], ...] = (
-    ("wrong-sign", "readings", _signs),
-    ("exchanged-readings", "readings", _exchanged_readings),
-    ("exchanged-eyes", "both", _exchanged_eyes),
-    ("wrong-unit", "both", _units),
-    ("order-of-joints", "readings", _orders_of_joints),
-    ("shifted-rows", "both", _shifted_rows),
-    ("other-poses", "poses", _other_poses),
-)
-"""By code the mistakes that can be undone, and whether they are of readings or of poses."""
-LAST_RESORT = (("lost-reading", "readings", _lost_readings),)
+Mistake = Callable[[Evidence, list[TurnFit]], Variants]
+MISTAKES: Mapping[str, tuple[Mistake, ...]] = {
+    "readings": (
+        _signs,
+        _exchanged_readings,
+        _exchanged_eyes,
+        _units,
+        _orders_of_joints,
+        _shifted_rows,
+    ),
+    "poses": (_exchanged_eyes, _lengths, _shifted_rows, _other_poses),
+}
+"""By what was read: the mistakes that can be undone."""
+LAST_RESORT: Mapping[str, tuple[Mistake, ...]] = {"readings": (_lost_readings,), "poses": ()}
 """Explanations that are tried last, since they give up part of the data."""
 
 
-def explanation(evidence: Evidence) -> tuple[list[str], Evidence]:
+def _explain(evidence: Evidence) -> tuple[list[str], Evidence]:
     """Find the mistakes that explain the data clearly better, one after the other.
 
     Returns what they are, and the evidence without them.
     """
     said: list[str] = []
+    kind = "readings" if evidence.T_base_eye is None else "poses"
     for _ in range(3):
-        found = _best(evidence, MISTAKES) or _best(evidence, LAST_RESORT)
+        found = _best(evidence, MISTAKES[kind]) or _best(evidence, LAST_RESORT[kind])
         if found is None:
             break
         said.append(found[0])
@@ -463,27 +418,24 @@ def explanation(evidence: Evidence) -> tuple[list[str], Evidence]:
     return said, evidence
 
 
-def _best(evidence: Evidence, table: tuple) -> tuple[str, Evidence] | None:
+def _best(evidence: Evidence, table: tuple[Mistake, ...]) -> tuple[str, Evidence] | None:
     """Return the mistake whose undoing explains the data best; None: none does clearly better."""
-    kind = "readings" if evidence.T_base_eye is None else "poses"
     before = [fit_eye(evidence, views) for views in evidence.eyes]
     tried = []
-    for _, of, variants in table:
-        for what, other in variants(evidence, before) if of in (kind, "both") else ():
-            after = [
-                fit if _unchanged(evidence, other, k) else fit_eye(other, other.eyes[k])
-                for k, fit in enumerate(before)
-            ]
-            tried.append(
-                (_score(before) - _score(after), sum(f.upright for f in after), what, other)
-            )
-    best = max((gain for gain, *_ in tried), default=0.0)
+    for what, other in (each for mistake in table for each in mistake(evidence, before)):
+        after = [
+            fit if _unchanged(evidence, other, k) else fit_eye(other, other.eyes[k])
+            for k, fit in enumerate(before)
+        ]
+        better = _score(before) - _score(after)
+        tried.append((better, sum(fit.upright for fit in after), what, other))
+    best = max((better for better, *_ in tried), default=0.0)
     if best < np.log(CLEARLY_BETTER):
         return None
-    near = [each for each in tried if each[0] > best - np.log(ALIKE)]
-    upright = max(each[1] for each in near)
-    alike = [each for each in near if each[1] > upright - UPRIGHT]
-    return ", or ".join(what for *_, what, _ in alike), alike[0][3]
+    tried = [each for each in tried if each[0] > best - np.log(ALIKE)]
+    upright = max(each[1] for each in tried)
+    tried = [each for each in tried if each[1] > upright - UPRIGHT]
+    return ", or ".join(what for *_, what, _ in tried), tried[0][3]
 
 
 def _unchanged(a: Evidence, b: Evidence, k: int) -> bool:
@@ -511,31 +463,30 @@ def check_readings_and_images(
     evidence = evidence_of(observations, T_cam_target)
     fits = [fit_eye(evidence, views) for views in evidence.eyes]
     if any(fit.symptom or fit.misfit_rad > CLEARLY_BETTER * EXACT_RAD for fit in fits):
-        aligned = _aligned(evidence, observations.board)
+        aligned = _aligned(evidence, observations)
         others = [fit_eye(aligned, views) for views in aligned.eyes]
         if _score(others) < _score(fits):
             evidence, fits = aligned, others
-        said, explained = explanation(aligned)
-        pairs = list(zip(evidence.eyes, fits, strict=True))
+        said, explained = _explain(aligned)
         if said:
             after = max(fit_eye(explained, views).misfit_rad for views in explained.eyes)
-            cause = f"{'; '.join(said)}. They then fit to {np.degrees(after):.2f} degrees."
-            limit = after * CLEARLY_BETTER
-            wrong = [each for each in pairs if each[1].symptom or each[1].misfit_rad > limit]
-            raise VergenceError(f"{_symptoms(evidence, wrong or pairs)}: {cause}")
-        wrong = [each for each in pairs if _is_wrong(each[1])]
-        if wrong:
             raise VergenceError(
-                f"{_symptoms(evidence, wrong)}. No usual mistake explains it: they may be of other "
-                "moments or another eye, the board may have moved, or the eye may have a joint "
-                "that is not described; check the axes of its joints. The largest differences: "
-                f"{_worst(observations, *max(wrong, key=lambda each: each[1].misfit_rad))}."
+                f"{_symptoms(evidence, fits, CLEARLY_BETTER * after)}: {'; '.join(said)}. They "
+                f"then fit to {np.degrees(after):.2f} degrees."
             )
-    findings = _eyes_alike(evidence, fits)
+        wrong = [k for k, fit in enumerate(fits) if _is_wrong(fit)]
+        if wrong:
+            k = max(wrong, key=lambda k: fits[k].misfit_rad)
+            raise VergenceError(
+                f"{_symptoms(evidence, fits, NOISY * fits[k].misfit_rad)}. No usual mistake "
+                "explains it: they may be of other moments or another eye, the board may have "
+                "moved, or the eye may have a joint that is not described; check the axes of its "
+                "joints. The largest differences: "
+                f"{_worst(observations, evidence.eyes[k], fits[k])}."
+            )
     if evidence.T_base_eye is None:
-        return observations, findings
-    without, odd = _without_odd_poses(observations, evidence, fits)
-    return without, [*findings, *odd]
+        return observations, _eyes_alike(evidence, fits)
+    return _without_odd_poses(observations, evidence, fits)
 
 
 def evidence_of(observations: Observations, T_cam_target: Mapping[str, Array]) -> Evidence:
@@ -548,7 +499,7 @@ def evidence_of(observations: Observations, T_cam_target: Mapping[str, Array]) -
     for name, eye in camera_eyes(observations).items():
         e, read = EYES.index(eye), readable(observations, eye)
         rows = most_seen(observations.placement, known_poses(poses[name]) & read)
-        if len(rows) < LEAST_VIEWS_AT_REST or (e in found and len(rows) <= len(found[e].rows)):
+        if len(rows) < LEAST_VIEWS or (e in found and len(rows) <= len(found[e].rows)):
             continue
         if observations.T_base_eye is None and not observations.kinematics.used(eye):
             continue
@@ -587,12 +538,12 @@ def _facing_each_other(
     }
 
 
-def _aligned(evidence: Evidence, board: Board) -> Evidence:
+def _aligned(evidence: Evidence, observations: Observations) -> Evidence:
     """Number the boards alike by the images alone, since what was read may be wrong."""
     eyes = []
     for views in evidence.eyes:
         T = views.T_cam_target.copy()
-        T[:, :3, :3] = nearest_numbering(T[:, :3, :3], board)
+        T[:, :3, :3] = nearest_numbering(T[:, :3, :3], observations.board)
         eyes.append(replace(views, T_cam_target=T))
     return replace(evidence, eyes=tuple(eyes))
 
@@ -600,24 +551,22 @@ def _aligned(evidence: Evidence, board: Board) -> Evidence:
 def _is_wrong(fit: TurnFit) -> bool:
     """Return whether no noise explains how little was read and seen agree."""
     share = fit.misfit_rad / fit.turn_rad
-    noisy = share > NOISY
-    return (
-        (bool(fit.symptom) and not noisy)
-        or share > UNRELATED
-        or (noisy and fit.misfit_rad > NOISY_RAD)
-    )
+    if share < NOISY:
+        return bool(fit.symptom)
+    return share > UNRELATED or fit.misfit_rad > NOISY_RAD
 
 
-def _symptoms(evidence: Evidence, wrong: list[tuple[EyeViews, TurnFit]]) -> str:
-    """Say how what was read differs from the images."""
+def _symptoms(evidence: Evidence, fits: list[TurnFit], most_rad: float) -> str:
+    """Say how what was read differs from the images, of eyes with a misfit beyond the largest."""
     read, said = "readings" if evidence.T_base_eye is None else "poses", []
-    for views, fit in wrong:
-        differ = (
+    for views, fit in zip(evidence.eyes, fits, strict=True):
+        symptom = fit.symptom or (
             f"they differ by {np.degrees(fit.misfit_rad):.2g} degrees in the median from the turns "
             f"of {views.camera} before a board at rest"
         )
-        said.append(f"the {read} of the {EYES[views.e]} eye ({fit.symptom or differ})")
-    return f"Images contradict {listed(said)}"
+        if fit.symptom or fit.misfit_rad > most_rad:
+            said.append(f"the {read} of the {EYES[views.e]} eye ({symptom})")
+    return f"Images contradict {listed(said) or f'the {read}'}"
 
 
 def _worst(observations: Observations, views: EyeViews, fit: TurnFit) -> str:
@@ -631,11 +580,10 @@ def _worst(observations: Observations, views: EyeViews, fit: TurnFit) -> str:
 def _eyes_alike(evidence: Evidence, fits: list[TurnFit]) -> list[Finding]:
     """Note eyes that moved so much alike that exchanged readings would not show."""
     order = _other_eyes_readings(evidence.kinematics)
-    if len(evidence.eyes) < 2 or evidence.T_base_eye is not None or order is None:
+    if len(evidence.eyes) < 2 or order is None:
         return []
     other = replace(evidence, readings=evidence.readings[:, order])
-    gain = _score(fits) - _score([fit_eye(other, views) for views in other.eyes])
-    if gain < -np.log(ALIKE):
+    if _score([fit_eye(other, views) for views in other.eyes]) - _score(fits) > np.log(ALIKE):
         return []
     sentence = (
         "Both eyes moved so much alike that exchanged readings of left and right would not show; "
@@ -714,7 +662,7 @@ def eye_shift(head: HeadCalibration) -> Array:
     T_lbase_leye, T_rbase_reye = eye_poses(head, straight_gaze(kinematics))
     mixing = [kinematics.chains[eye].mixing for eye in EYES]
     as_one = mixing[0].shape == mixing[1].shape and bool(
-        (np.abs(mixing[0] - mixing[1]) <= AS_ONE * np.abs(mixing[0]).max(initial=0.0)).all()
+        (np.abs(mixing[0] - mixing[1]) <= 0.2 * np.abs(mixing[0]).max(initial=0.0)).all()
     )
     left_end, right_end = (
         joints[-1].point_m if joints else np.zeros(3)

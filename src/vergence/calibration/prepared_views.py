@@ -93,12 +93,11 @@ def prepare(
     numbered = board_numbering.number_alike(data, T_cam_target)
     observations, T_cam_target = numbered.observations, numbered.T_cam_target
     observations, findings = plausibility.check_readings_and_images(observations, T_cam_target)
-    observations, unsettled = board_numbering.without_unclear(observations, numbered)
-    findings = [*observations.findings, *unsettled, *findings]
-    observations = replace(observations, findings=tuple(findings))
     views = PreparedViews(observations, T_cam_target, lenses, intrinsics)
     excitation.check_excitation(*views.at_rest)
-    return views
+    observations, unsettled = board_numbering.without_unclear(observations, numbered)
+    findings = (*observations.findings, *unsettled, *findings)
+    return replace(views, observations=replace(observations, findings=findings))
 
 
 def _check_views(seen: Observations) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from vergence.calibration.cross_validation import MISFIT_CAUSES
-from vergence.calibration.observations import NO_CORNERS, Observations
+from vergence.calibration.observations import NO_CORNERS, UNREADABLE_IMAGE, Observations
 from vergence.calibration.plausibility import eye_shift
 from vergence.errors import counted, listed
 from vergence.findings import select
@@ -23,72 +23,70 @@ from vergence.stereo.uncertainty import locate
 from vergence.vision.board_pose import seen_corners
 
 POOR_FIT = 1.5
-"""Held-out error, as a multiple of what the noise explains, from which something is amiss; with
-the ten views or more of a usual fold set it stays below by far."""
+"""Held-out error relative to that which noise explains, from which something is amiss; with ten
+views or more of both eyes it stays below."""
 LARGEST_EXPECTED = 0.1
-"""Error that noise explains, relative to the distance, from which held-out points check nothing:
-hardly any calibration would contradict it."""
-PART = 1 / 3
-"""Largest error that a calibration may add, relative to that of a reading's noise: the two together
-are then a twentieth larger than the noise alone."""
-SMALL = 0.002
-"""Error of a point, relative to its distance, that is small whatever the noise of a reading."""
+"""Error that noise explains, relative to the distance, from which held-out points check nothing."""
+PART, SMALL = 1 / 3, 0.002
+"""Largest error by the calibration, relative to that by a reading's noise (both together are then a
+twentieth larger), and error relative to the distance that is always small."""
 MOST_NOTES = 2
-"""Most notes that a summary repeats; the report has all."""
+"""Number of notes that a summary repeats; the report has all."""
 DISTANCES_M = (0.3, 0.6, 1.0)
 """Distances of the points whose accuracy is stated: the range of a hand, and beyond."""
-_DIFFER = 1.5
+DIFFER = 1.5
 """Ratio of the noise of cameras from which it is stated from least to most."""
-_TURNS_RAD = 0.2
+AROUND_RAD = 0.2
 """Angle from straight ahead of the gaze directions over which that accuracy is stated."""
 
 
 def verdict(accuracy: Accuracy, head: HeadCalibration) -> tuple[str, str]:
-    """Return one word, and what to do next.
+    """Judge a calibration in one word, and say what to do next.
 
-    GOOD: what is stated can be believed, and more views would not make points much better. VOID:
-    the calibration must not be used. DOUBTFUL: something is amiss, unknown, or not accurate yet.
+    GOOD: the stated accuracy can be believed, and more views would not make points much better.
+    VOID: the calibration must not be used. DOUBTFUL: something is amiss, unknown, or inaccurate.
     """
     if accuracy.void:
         return "VOID", accuracy.void[0].sentence
-    if warnings := select(accuracy.findings, "warning"):
-        return "DOUBTFUL", f"Next: {warnings[0]}"
-    if accuracy.method == "paper":
-        return (
-            "DOUBTFUL",
-            "Next: the paper's method states no accuracy; calibrate with --method bundle.",
-        )
+    warnings = select(accuracy.findings, "warning")
+    doubt = str(warnings[0]) if warnings else _doubt(accuracy, head)
+    if doubt:
+        return "DOUBTFUL", f"Next: {doubt}"
+    return "GOOD", "Next: nothing; more views would not make points much better."
+
+
+def _doubt(accuracy: Accuracy, head: HeadCalibration) -> str:
+    """Say why the accuracy is not good, or not known; empty: it is good."""
     checked = accuracy.held_out
-    assert checked is not None
+    if accuracy.method == "paper" or checked is None:
+        return "the paper's method states no accuracy; calibrate with --method bundle."
     if checked.point_mm is not None and checked.expected_mm is not None:
         if checked.expected_mm > LARGEST_EXPECTED * 1e3 * (checked.distance_m or np.inf):
             return (
-                "DOUBTFUL",
-                "Next: record more views in which both eyes see the board (`vergence plan` says "
-                f"which); held-out points check nothing, since noise explains errors of "
-                f"{checked.expected_mm:.0f} mm at {checked.distance_m:.2f} m.",
+                "record more views in which both eyes see the board (`vergence plan` says which); "
+                "held-out points check nothing, since noise explains errors of "
+                f"{checked.expected_mm:.0f} mm at {checked.distance_m:.2f} m."
             )
         ratio = checked.point_mm / checked.expected_mm
         if ratio > POOR_FIT:
             return (
-                "DOUBTFUL",
-                f"Next: held-out points are {ratio:.1f} times as wrong as the noise explains; "
-                f"{MISFIT_CAUSES}.",
+                f"held-out points are {ratio:.1f} times as wrong as the noise explains; "
+                f"{MISFIT_CAUSES}."
             )
     table = point_accuracy(head)
     if not table:
-        return "DOUBTFUL", (
-            "Next: look at the standard deviations; the accuracy of a point is stated for heads of "
-            "two eyes with joint readings."
+        return (
+            "look at the standard deviations; the accuracy of a point is stated for heads of two "
+            "eyes with joint readings."
         )
     for distance, by_calibration, by_reading in table:
         if by_calibration > max(PART * by_reading, SMALL * 1e3 * distance):
-            return "DOUBTFUL", (
-                "Next: record more views (`vergence plan` says which), or larger eye motion; at "
+            return (
+                "record more views (`vergence plan` says which), or larger eye motion; at "
                 f"{distance:g} m the calibration adds {by_calibration:.1f} mm to the "
                 f"{by_reading:.1f} mm of a reading's noise."
             )
-    return "GOOD", "Next: nothing; more views would not make points much better."
+    return ""
 
 
 def point_accuracy(head: HeadCalibration) -> list[tuple[float, float, float]]:
@@ -105,7 +103,7 @@ def point_accuracy(head: HeadCalibration) -> list[tuple[float, float, float]]:
         return []
     plain, phase = without_offsets(head), np.arange(8) * np.pi / 4
     turns = np.stack([np.zeros(8), np.sin(phase), np.cos(phase)], axis=1)
-    joints = readings_to_turn(head.kinematics, _TURNS_RAD * turns)
+    joints = readings_to_turn(head.kinematics, AROUND_RAD * turns)
     T_lbase_head, rows = inverse(T_head_base(plain, "left")), []
     for distance in DISTANCES_M:
         # Both eyes turn in the same sense; the point stays in the middle of the head.
@@ -127,7 +125,8 @@ def summary_lines(head: HeadCalibration, observations: Observations) -> list[str
     accuracy = head.accuracy
     assert accuracy is not None
     word, following = verdict(accuracy, head)
-    corners, lost = observations.corners, select(accuracy.findings, "note", code=NO_CORNERS)
+    corners, notes = observations.corners, select(accuracy.findings, "note")
+    lost = [each for each in notes if each.code in (NO_CORNERS, UNREADABLE_IMAGE)]
     apart = ""
     if main_pair(head) is not None and accuracy.eye_motion == "pan-tilt":
         apart = f" The eyes are {1e3 * np.linalg.norm(eye_shift(head)):.1f} mm apart."
@@ -140,7 +139,7 @@ def summary_lines(head: HeadCalibration, observations: Observations) -> list[str
     if accuracy.pixel_std_px is not None:
         levels = accuracy.camera_std_px.values()
         noise = f"{accuracy.pixel_std_px:.3f}"
-        if levels and max(levels) > _DIFFER * min(levels):
+        if levels and max(levels) > DIFFER * min(levels):
             noise = f"{min(levels):.3f} to {max(levels):.3f}"
         lines.append(f"Noise: {noise} px in corners, {_reading_noise(head)}.")
     checked = accuracy.held_out
@@ -173,8 +172,8 @@ def summary_lines(head: HeadCalibration, observations: Observations) -> list[str
     serious = select(accuracy.findings, "void", "warning")
     if len(serious) > 1:
         lines.append(f"{len(serious)} warnings; the first is below, the report lists all.")
-    notes = [each for each in select(accuracy.findings, "note") if each not in lost]
-    lines += [f"Note: {each}" for each in notes[:MOST_NOTES]]
+    shown = [each for each in notes if each.code != NO_CORNERS]
+    lines += [f"Note: {each}" for each in shown[:MOST_NOTES]]
     lines.append(following)
     return lines
 
