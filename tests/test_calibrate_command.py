@@ -28,7 +28,6 @@ from vergence.findings import void
 from vergence.geometry.head import HeadCalibration, load_head, main_pair, save_head
 from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Side
-from vergence.interchange import kalibr
 from vergence.interchange.formats import export_head
 
 NOT_CONVERGED = void("not-converged", "The estimate did not converge.")
@@ -79,7 +78,6 @@ def test_a_recorded_head_is_calibrated_and_evaluated(recorded, tmp_path, monkeyp
     _check_recording(report / "dataset.rrd", recorded, stated)
     text = (report / "report.md").read_text()
     assert text.splitlines()[2].startswith(stated["verdict"])
-    assert "mm after these views (predicted)" in text
     assert re.search(
         r"\| left_narrow +\| none +\| not compared +\|  +\|", text
     )  # fewer than ten views
@@ -88,31 +86,21 @@ def test_a_recorded_head_is_calibrated_and_evaluated(recorded, tmp_path, monkeyp
 @pytest.mark.parametrize(
     "words",
     [
-        ("budget", "--calibration", "void.json"),
-        ("depth", "dataset", "--calibration", "void.json", "--out", "depth"),
-        ("depth", "--twin", "--calibration", "void.json", "--out", "depth"),
-        ("export", "void.json", "--format", "opencv", "--out", "head.yaml"),
-        (
-            "import",
-            "camchain.yaml",
-            "--format",
-            "kalibr",
-            "--start",
-            "void.json",
-            "--out",
-            "b.json",
-        ),
-        ("plan", "void.json", "--board", "9", "6", "0.03"),
-        ("self-calibrate", "dataset", "--calibration", "void.json", "--out", "b.json"),
+        "budget --calibration void.json",
+        "depth dataset --calibration void.json --out depth",
+        "depth --twin --calibration void.json --out depth",
+        "export void.json --format opencv --out head.yaml",
+        "import camchain.yaml --format kalibr --start void.json --out b.json",
+        "plan void.json --board 9 6 0.03",
+        "self-calibrate dataset --calibration void.json --out b.json",
     ],
-    ids=lambda words: " ".join(words[:2]),
 )
 def test_a_void_calibration_is_not_used(words, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    accuracy = Accuracy("bundle", findings=(NOT_CONVERGED,))
-    save_head(replace(plain_head(0.07, 300.0), accuracy=accuracy), "void.json")
+    void = Accuracy("bundle", findings=(NOT_CONVERGED,))
+    save_head(replace(plain_head(0.07, 300.0), accuracy=void), "void.json")
     with pytest.raises(SystemExit, match="2"):
-        run(monkeypatch, *words)
+        run(monkeypatch, *words.split())
     said = capsys.readouterr().err
     assert said == "vergence: The calibration void.json is VOID: The estimate did not converge.\n"
     assert [path.name for path in tmp_path.iterdir()] == ["void.json"]
@@ -141,18 +129,14 @@ def test_a_void_calibration_does_not_replace_one_that_is_there(voided, monkeypat
     save_head(plain_head(0.07, 300.0), "keep.json")
     before = Path("keep.json").read_bytes()
     run(monkeypatch, "calibrate", "set", "--out", "keep.json")
-    assert "Wrote keep.void.json; keep.json is as it was." in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "Wrote keep.void.json; keep.json is as it was." in said
+    assert "To read all 2 warnings, add --report FOLDER.\n" in said
     assert Path("keep.json").read_bytes() == before
     beside = load_head("keep.void.json", allow_void=True)
     np.testing.assert_array_equal(beside.T_rbase_lbase, voided.T_rbase_lbase)
     run(monkeypatch, "calibrate", "set", "--out", "new.json")
     assert "Wrote new.json.\n" in capsys.readouterr().out
-
-
-@pytest.mark.usefixtures("voided")
-def test_how_to_read_all_warnings_is_said_where_no_report_was_asked_for(monkeypatch, capsys):
-    run(monkeypatch, "calibrate", "set", "--out", "a.json")
-    assert "To read all 2 warnings, add --report FOLDER.\n" in capsys.readouterr().out
 
 
 def _check_recording(path: Path, folder: Path, stated: dict) -> None:
@@ -185,16 +169,6 @@ def test_the_paper_s_method_states_no_covariance(recorded, tmp_path, monkeypatch
     assert all(0 < each.focal < 1e-2 for each in accuracy.lenses.values())
 
 
-def test_an_exported_head_comes_back(tmp_path, monkeypatch):
-    save_head(plain_head(0.07, 300.0), tmp_path / "head.json")
-    there, back = tmp_path / "head.yml", tmp_path / "back.json"
-    run(monkeypatch, "export", tmp_path / "head.json", "--format", "opencv", "--out", there)
-    run(monkeypatch, "import", there, "--format", "opencv", "--out", back)
-    np.testing.assert_array_equal(
-        load_head(back).T_rbase_lbase, load_head(tmp_path / "head.json").T_rbase_lbase
-    )
-
-
 def test_an_import_names_the_cameras_that_the_file_leaves_as_they_were(
     tmp_path, monkeypatch, capsys
 ):
@@ -207,35 +181,16 @@ def test_an_import_names_the_cameras_that_the_file_leaves_as_they_were(
     assert "leaves the lenses of right_wide as" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("out", ["start.json", "camchain.yaml"])
-def test_an_import_does_not_replace_what_it_reads(out, tmp_path, monkeypatch, capsys):
-    save_head(plain_head(0.07, 300.0), tmp_path / "start.json")
-    kalibr.save(plain_head(0.08, 310.0), tmp_path / "camchain.yaml")
-    before, words = (tmp_path / out).read_bytes(), ("--start", tmp_path / "start.json")
-    with pytest.raises(SystemExit, match="2"):
-        run(
-            monkeypatch, "import", tmp_path / "camchain.yaml", "--format", "kalibr", *words,
-            "--out", tmp_path / out,
-        )  # fmt: skip
-    assert "it is also the file that is read" in capsys.readouterr().err
-    assert (tmp_path / out).read_bytes() == before
-
-
 @pytest.mark.parametrize(
     ("keep", "named"), [(0, "frames.csv"), (2, "shows the board in [02] images at rest")]
 )
 def test_too_little_data_ends_in_a_sentence(keep, named, recorded, tmp_path, monkeypatch, capsys):
-    folder = tmp_path / "dataset"
-    folder.mkdir()
-    shutil.copytree(recorded / "images", folder / "images")
-    (folder / "dataset.json").write_text((recorded / "dataset.json").read_text())
+    folder = shutil.copytree(recorded, tmp_path / "dataset")
     head, *rows = (recorded / "frames.csv").read_text().splitlines()
     (folder / "frames.csv").write_text("\n".join([head, *rows[:keep]]) + "\n")
-    with pytest.raises(SystemExit) as stopped:
+    with pytest.raises(SystemExit, match="2"):
         run(monkeypatch, "calibrate", folder, "--out", tmp_path / "c.json")
-    assert stopped.value.code == 2
-    said = capsys.readouterr().err.splitlines()[-1]
-    assert re.search(named, said)
+    assert re.search(named, capsys.readouterr().err.splitlines()[-1])
     assert not (tmp_path / "c.json").exists()
 
 

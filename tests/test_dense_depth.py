@@ -207,7 +207,7 @@ def test_depth_of_a_real_heads_dataset_needs_no_twin(drawn, tmp_path):
     assert found["textured"] > 0.1
     assert found["joints"] is None
     assert found["row_difference_deg"] < 0.02
-    assert found["doubt"] is None
+    assert found["findings"] == []
 
 
 @pytest.mark.parametrize("pan_std_deg", [0.02, 1.0])
@@ -219,8 +219,8 @@ def test_rows_show_that_a_calibration_is_of_another_head(drawn, tmp_path, pan_st
     save_head(replace(turned, accuracy=accuracy), tmp_path / "other.json")
     head = tmp_path / "other.json"
     done = of_dataset(tmp_path / "data", calibration=head, out=tmp_path / "depth").data
-    assert done.doubt is not None
-    assert done.doubt.startswith("Features are 0.51 degrees beside their rows")
+    (doubt,) = done.findings
+    assert str(doubt).startswith("Features are 0.51 degrees beside their rows")
     assert "Warning: Features are" in (tmp_path / "depth" / "report.md").read_text()
 
 

@@ -1,6 +1,5 @@
 """figures.png and depth.png: the drawn lines hold the data, and the files are whole."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -49,20 +48,6 @@ def test_each_figure_has_a_panel_with_its_estimates(numbers: tuple[int, ...]):
         np.testing.assert_allclose(bands, np.stack([mean - std, mean + std], axis=1))
         means = [line.get_ydata()[0] for line in axes.lines if len(line.get_xydata()) == 2]
         assert means == list(figure.mean_m)
-
-
-def test_where_methods_are_compared_the_legend_hides_no_curve():
-    def compared(number: int) -> Replay:
-        own = result(number)
-        return replace(own, others={"learned": own.points})
-
-    canvas = draw_figures([compared(number) for number in (8, 9)])
-    canvas.draw_without_rendering()
-    for axes in canvas.axes:
-        legend = axes.get_legend()
-        assert legend is not None
-        below = legend.get_window_extent().transformed(axes.transData.inverted()).y0
-        assert below > max(np.nanmax(line.get_ydata()) for line in axes.get_lines())
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ from vergence.cli.report import Part, Report, Table
 from vergence.demos.depth_errors import RANGE_M, DepthErrors
 from vergence.errors import counted
 from vergence.files import REPORT, write_whole
+from vergence.findings import Finding, warning
 from vergence.progress import Progress
 from vergence.self_calibration.dense_pairs import (
     DepthSequence,
@@ -51,8 +52,7 @@ class Summary:
     row_difference_deg: float
     """Angle between the rows of a feature in the two rectified images, median over features and
     pairs; NaN: too few features were matched."""
-    doubt: str | None
-    """Reason to doubt the calibration."""
+    findings: tuple[Finding, ...] = ()
     joints: DepthErrors | None = None
     """By the calibration and the joint readings; None: the truth is not known."""
     seen: DepthErrors | None = None
@@ -89,6 +89,8 @@ def write_depth(out: Path, sequence: DepthSequence, progress: Progress) -> Repor
         stds, known = np.concatenate(relative_stds), np.isfinite(rows_rad)
         angle_rad = float(np.median(np.array(rows_rad)[known])) if known.any() else np.nan
         doubtful = misaligned(angle_rad, float(np.median(noises_rad)))
+        doubt = warning("misaligned-rows", DOUBT.format(np.degrees(angle_rad)))
+        findings = (doubt,) if doubtful else ()
         report = depth_report(
             Summary(
                 pairs=count,
@@ -97,7 +99,7 @@ def write_depth(out: Path, sequence: DepthSequence, progress: Progress) -> Repor
                 textured=float(textured),
                 median_relative_std=float(np.median(stds)) if stds.size else np.nan,
                 row_difference_deg=float(np.degrees(angle_rad)),
-                doubt=DOUBT.format(np.degrees(angle_rad)) if doubtful else None,
+                findings=findings,
                 **sequence.errors(),
             )
         )
@@ -126,8 +128,7 @@ def depth_report(done: Summary) -> Report:
             f"{done.left_out} more cannot be rectified: the two views do not overlap, or an eye "
             "looks along the line from one camera to the other."
         )
-    if done.doubt is not None:
-        parts.append(f"Warning: {done.doubt}")
+    parts += [f"Warning: {each}" for each in done.findings]
     rows = [
         (
             name,
