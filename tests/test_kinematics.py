@@ -24,7 +24,6 @@ from vergence.geometry.kinematics import (
     pan_tilt,
     reading_kinds,
     readings_to_turn,
-    straight_gaze,
 )
 from vergence.geometry.neck import Neck, T_body_head
 from vergence.geometry.projection import project_point
@@ -193,16 +192,6 @@ def test_readings_that_are_not_as_many_as_the_heads_are_refused(find, wrong):
         find(wrong)
 
 
-def test_a_list_of_readings_serves_as_an_array_does():
-    readings = POSTURE[3:]
-    for find in (
-        lambda joints: project_point(HEAD, "right_wide", joints, POINT),
-        lambda joints: T_rcam_lcam(HEAD, joints),
-        lambda joints: eye_linearised(HEAD.kinematics, "left", joints)[0],
-    ):
-        np.testing.assert_array_equal(find(readings.tolist()), find(readings))
-
-
 def test_readings_of_any_leading_dimensions_are_no_measured_poses():
     readings = np.random.default_rng(0).uniform(-0.2, 0.2, (3, 5, 4))
     T = eye_poses(HEAD, readings)
@@ -251,11 +240,6 @@ def test_readings_of_one_kind_turn_joints_that_are_built_alike():
     assert reading_kinds(three) == [0, 1, 0, 1, 2]
 
 
-def test_straight_gaze_is_every_reading_at_zero():
-    assert straight_gaze(shared_tilt()).shape == (3,)
-    np.testing.assert_array_equal(straight_gaze(Kinematics()), np.zeros(4))
-
-
 def test_both_eyes_turn_by_the_readings_that_are_asked_for():
     turn = np.array([0.0, 0.02, -0.03])
     for kinematics in (Kinematics(), shared_tilt(), version_and_vergence()):
@@ -285,25 +269,6 @@ def test_joints_about_nearly_one_axis_are_not_turned_against_each_other():
     for eye in EYES:
         found = eye_turn(kinematics, eye, readings)
         np.testing.assert_allclose(found, [0, 0, 0.2], atol=0.002)
-
-
-@pytest.mark.parametrize(
-    ("eyes", "said"),
-    [
-        ((Joint(name="a", axis=UP, readings={"x": 1.0}),), "none of the readings left_pan"),
-        (
-            (
-                Joint(name="a", axis=UP, readings={"left_pan": 1.0}),
-                Joint(name="b", axis=UP, readings={"left_tilt": 1.0}),
-            ),
-            "joints a and b of the left eye have the same axis",
-        ),
-        ((Joint(name="a", axis=UP, readings={"left_pan": 1.0}),) * 2, "each of its own name"),
-    ],
-)
-def test_impossible_joints_are_refused(eyes: tuple[Joint, ...], said: str):
-    with pytest.raises(ValidationError, match=said):
-        Kinematics({"left": eyes, "right": pan_tilt("right")})
 
 
 def test_all_that_parallel_axes_may_differ_by_is_estimated_once():

@@ -83,7 +83,7 @@ def test_every_derivative_of_the_projection_agrees_with_differences(seed: int, n
     head, points = skewed_head(rng), before_the_head(rng, 3, 4)
     mounted, between = head.cameras[name], head.T_rbase_lbase
     T = T_base_eye(head.kinematics, mounted.eye, rng.uniform(-0.25, 0.25, (3, 4)))
-    found = project_with_jacobians(mounted, between, T, points)
+    found = project_with_jacobians(mounted, between, T[:, None], points)
 
     def with_lens(change: Array) -> MountedCamera:
         lens = mounted.intrinsics

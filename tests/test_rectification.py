@@ -133,14 +133,8 @@ def test_measured_poses_rectify_as_the_angles_that_they_come_from():
 
 @pytest.mark.parametrize("joints", [(1.2, 0.0, -1.2, 0.0), (0.0, 1.1, 0.0, -1.1)])
 def test_views_that_do_not_overlap_are_refused(joints):
-    with pytest.raises(VergenceError, match="would show 0% of what both images show"):
+    with pytest.raises(VergenceError, match="do not overlap"):
         rectify(head("radial-tangential"), np.array(joints))
-
-
-@pytest.mark.parametrize("pan", [1.4, -1.57])
-def test_a_pair_that_would_show_hardly_anything_is_refused(pan):
-    with pytest.raises(VergenceError, match=r"would show \d% of what both images show"):
-        rectify(head("radial-tangential"), np.array([pan, 0.0, pan, 0.0]))
 
 
 @pytest.mark.parametrize("pan", [0.0, 0.9])
@@ -175,13 +169,6 @@ def test_a_pair_is_rectified_at_one_posture(shape):
 def test_what_no_camera_can_have_is_refused(wrong, said):
     with pytest.raises(VergenceError, match=said):
         rectify(four_cameras(), **{"joints": np.zeros(4)} | wrong)
-
-
-def test_an_image_may_be_a_list_and_of_types_that_opencv_lacks_is_refused():
-    pair = rectify(four_cameras(), [0.0, 0.0, 0.0, 0.0], size=(16, 12))
-    for image in (np.zeros((480, 640), bool), np.zeros((480, 640), int).tolist()):
-        with pytest.raises(VergenceError, match="found an array of"):
-            rectified_image(pair.left, image)  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.parametrize("shape", [(240, 320, 3), (480, 640, 3, 1), (640,)])

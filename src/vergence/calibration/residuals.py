@@ -23,7 +23,7 @@ from vergence.data import timing
 from vergence.data.timing import Stencil
 from vergence.estimation.residual import Levels, Residual, Rows
 from vergence.estimation.variables import Variables
-from vergence.geometry.batches import times
+from vergence.geometry.batches import product, times
 from vergence.geometry.eye_motion import eye_linearised
 from vergence.geometry.head import HeadCalibration, MountedCamera
 from vergence.geometry.kinematics import EYES, T_base_eye
@@ -39,7 +39,6 @@ from vergence.geometry.projection import (
     by_pose_of_points,
     project_at,
     project_with_jacobians,
-    rows_times,
 )
 from vergence.geometry.se3 import boxminus, boxplus, cross, hat, inverse
 
@@ -200,19 +199,19 @@ class Reprojection(Residual):
         index = np.zeros((M, s), dtype=np.intp)
         for c, mounted in enumerate(head.cameras.values()):
             mine = detections.of_camera(c)
-            J = project_with_jacobians(mounted, head.T_rbase_lbase, T[mine], points[mine])
+            J = project_with_jacobians(mounted, head.T_rbase_lbase, T[mine][:, None], points[mine])
             end = 0
             for part in (
                 J.by_lens,
                 J.by_T_eye_cam,
                 J.by_T_rbase_lbase,
-                rows_times(J.by_T_base_eye, by_axes[detections.eye[c]][mine]),
+                product(J.by_T_base_eye, by_axes[detections.eye[c]][mine][:, None]),
                 by_pose_of_points(J.by_point, turned[mine]),
                 times(J.by_point, turned[mine])[..., None] / x["board_scale"],
             ):
                 shared[mine, ..., end : end + part.shape[-1]] = part
                 end += part.shape[-1]
-            latent[mine] = rows_times(J.by_T_base_eye, by_eye_latent[mine])
+            latent[mine] = product(J.by_T_base_eye, by_eye_latent[mine][:, None])
             index[mine, :end] = target_columns(x, columns[c], detections.board[mine])
         shared[~self.seen], latent[~self.seen] = 0.0, 0.0
         return Rows(shared.reshape(M, 2 * K, s), index, latent.reshape(M, 2 * K, -1))

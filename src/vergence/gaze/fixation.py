@@ -17,7 +17,7 @@ from vergence.geometry.kinematics import (
     pan_tilt_along,
     turn_by_readings,
 )
-from vergence.geometry.projection import projected
+from vergence.geometry.projection import project_with_jacobians
 
 _UNIT_LENS = pinhole(1, 1, 1.0)  # its pixels are x/z and y/z
 _CONVERGED = 1e-8
@@ -122,7 +122,7 @@ def _off_centre(
     """
     eye = eye_motion(kinematics, mounted.eye, readings, errors=False)
     # The identity in place of T_rbase_lbase: the points are in this base already.
-    found = projected(mounted, np.eye(4), eye.T_base_eye, p, parameters=False)
+    found = project_with_jacobians(mounted, np.eye(4), eye.T_base_eye, p, parameters=False)
     error, by_pose = found.pixels, found.by_T_base_eye
     front = np.asarray(np.isfinite(error).all(axis=-1, keepdims=True))
     J = np.where(front[..., None], by_pose @ eye.by_readings(eye.by_moves), 0.0)

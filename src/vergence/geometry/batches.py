@@ -42,8 +42,8 @@ def vector(*parts: Array | float) -> Array:
     if type(parts[0]) is not np.ndarray and type(parts[-1]) is not np.ndarray:
         return np.array(parts)
     stacked = np.empty((len(parts), *np.broadcast_shapes(*map(np.shape, parts))))
-    for row, part in zip(stacked, parts, strict=True):
-        row[...] = part
+    for k, part in enumerate(parts):
+        stacked[k] = part
     return batch_first(stacked)
 
 

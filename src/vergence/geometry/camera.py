@@ -239,6 +239,7 @@ def normalise_jacobian(camera: Camera, pixels: Array) -> tuple[Array, Array]:
         return vector(wanted_x, wanted_y), by_pixels
     k = camera.coefficients
     x, y = lens.first_guess(camera.model, k, wanted_x, wanted_y)
+    squared = det = by_x = by_xy = by_y = x
     for _ in range(20):
         x_lens, y_lens, xx, xy, yy = lens.distort(camera.model, k, x, y)
         error_x, error_y = x_lens - wanted_x, y_lens - wanted_y

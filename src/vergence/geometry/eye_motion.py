@@ -14,6 +14,7 @@ from vergence.arrays import Array
 from vergence.geometry.batches import batch_first, batch_last, product, rows_in_memory, times
 from vergence.geometry.chain import joint_frames, pose_of
 from vergence.geometry.head import HeadCalibration
+from vergence.geometry.joints import axis_error
 from vergence.geometry.kinematics import (
     EYES,
     Kinematics,
@@ -59,18 +60,24 @@ def eye_motion(
     chain, parts = kinematics.chains[eye], batch_last(readings)
     R, t = joint_frames(chain, readings)
     axes = [times(R_joint, axis) for R_joint, axis in zip(R, chain.axes, strict=False)]
-    moves, factors = [(axis, t[-1] - t[k]) for k, axis in enumerate(axes)], []
-    for error in kinematics.errors[eye] if errors else ():
-        k = error.joint
-        if error.direction is None:  # of an angle
-            slope = error.constant + sum(factor * parts[r] for r, factor in error.mixing)
-            factors.append((k, slope))
+    moves: list[tuple[Array | None, Array]] = [(a, t[-1] - t[k]) for k, a in enumerate(axes)]
+    factors: list[tuple[int, Array | float]] = []
+    joints, names = kinematics.eyes[eye], kinematics.readings
+    for k, name in kinematics.parameters[eye] if errors else ():
+        error = axis_error(joints, k, name)
+        if error is None:  # of the angle
+            own = {name.removeprefix("factor_"): 1.0}
+            if name in ("gain", "offset_rad"):
+                own = joints[k].readings if name == "gain" else {}
+            slope = sum(factor * parts[names.index(r)] for r, factor in own.items())
+            factors.append((k, slope if own else 1.0))
             continue
         factors.append((len(moves), 1.0))
-        along = times(R[k], error.direction)
-        if error.tilts:
+        tilts, direction = error
+        along = times(R[k], direction)
+        if tilts:
             # The axis is turned about the normal n: its turn R becomes exp(e n) R exp(-e n).
-            moves.append((along - times(R[k + 1], error.direction), t[-1] - t[k]))
+            moves.append((along - times(R[k + 1], direction), t[-1] - t[k]))
         else:
             moves.append((None, along))
     by_moves = np.zeros((6, len(moves), *readings.shape[:-1]))
@@ -137,7 +144,7 @@ def eye_motions(
             poses[..., k, :, :],
             np.eye(6),
             increments[k],
-            ((0, 0.0),) * len(head.kinematics.errors[eye]),
+            ((0, 0.0),) * len(head.kinematics.parameters[eye]),
         )
         for k, eye in enumerate(EYES)
     )

@@ -178,36 +178,15 @@ def change_joints(joints: tuple[Joint, ...], change: Array) -> tuple[Joint, ...]
     return tuple(replace_unchecked(joint, **new) for joint, new in zip(joints, own, strict=True))
 
 
-class JointError(NamedTuple):
-    """One of the errors of an eye's joints: of an angle, or of an axis."""
+def axis_error(joints: tuple[Joint, ...], k: int, name: str) -> tuple[bool, Array] | None:
+    """Look up whether an error of joint k tilts its axis or shifts it, and the direction (3,).
 
-    joint: int
-    mixing: list[tuple[int, float]]
-    """(reading, factor) pairs of an error of an angle, whose derivative by the error is
-    constant + sum of factor * reading."""
-    constant: float
-    direction: Array | None
-    """Direction that an axis is turned about or shifted along."""
-    tilts: bool
-
-
-def joint_errors(joints: tuple[Joint, ...], names: tuple[str, ...]) -> tuple[JointError, ...]:
-    """List the errors of joints in the order of joint_parameters."""
-    found = []
-    for k, name in joint_parameters(joints):
-        joint, mixing, direction = joints[k], {}, None
-        if name == "gain":
-            mixing = joint.readings
-        elif name.startswith("factor_"):
-            mixing = {name.removeprefix("factor_"): 1.0}
-        elif name == "slide_m":
-            direction = joint.axis
-        elif name == "inclination_rad":
-            direction = _inclines_about(joints[k - 1], joint)
-        elif name != "offset_rad":
-            direction = common_normal(joints[k - 1], joint).direction
-        terms = [(names.index(one), float(factor)) for one, factor in mixing.items()]
-        constant = float(name == "offset_rad")
-        tilts = name in ("nonorthogonality_rad", "inclination_rad")
-        found.append(JointError(k, terms, constant, direction, tilts))
-    return tuple(found)
+    None for an error of the angle.
+    """
+    if name == "slide_m":
+        return False, joints[k].axis
+    if name == "inclination_rad":
+        return True, _inclines_about(joints[k - 1], joints[k])
+    if name in ("nonorthogonality_rad", "axis_distance_m"):
+        return name == "nonorthogonality_rad", common_normal(joints[k - 1], joints[k]).direction
+    return None

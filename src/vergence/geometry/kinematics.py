@@ -8,7 +8,7 @@ linear combination of readings. The default of an eye is the paper's: pan, a rig
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import field
+from dataclasses import field, replace
 from functools import cached_property
 from itertools import pairwise, zip_longest
 from typing import Literal
@@ -24,11 +24,9 @@ from vergence.geometry.chain import Chain, chain_pose
 from vergence.geometry.joints import (
     PARALLEL,
     Joint,
-    JointError,
     ReadingName,
     common_normal,
     eye_chain,
-    joint_errors,
     joint_parameters,
 )
 
@@ -59,7 +57,7 @@ def pan_tilt(eye: Side, **errors: float) -> tuple[Joint, Joint]:
         joint, _, error = name.partition("_")
         fields[joint][error] = value
     pan, tilt = (
-        Joint(name, np.array(AXIS_NAMES[name]), {f"{eye}_{name}": 1.0}, **own)
+        replace(Joint(name, np.array(AXIS_NAMES[name]), {f"{eye}_{name}": 1.0}), **own)
         for name, own in fields.items()
     )
     return pan, tilt
@@ -93,11 +91,6 @@ class Kinematics:
     def parameters(self) -> Mapping[Side, list[tuple[int, str]]]:
         """By eye the parameters by which its joints may differ from the design, in order."""
         return {eye: joint_parameters(self.eyes[eye]) for eye in EYES}
-
-    @cached_property
-    def errors(self) -> Mapping[Side, tuple[JointError, ...]]:
-        """By eye the same parameters, with what each does to an angle or an axis."""
-        return {eye: joint_errors(self.eyes[eye], self.readings) for eye in EYES}
 
     @cached_property
     def factors(self) -> Array:

@@ -96,16 +96,6 @@ class ProjectionJacobians:
 
 
 def project_with_jacobians(
-    mounted: MountedCamera, T_rbase_lbase: Array, T_base_eye: Array, points: Array
-) -> ProjectionJacobians:
-    """Compute pixels and their derivatives by everything that lies between point and pixel.
-
-    The arguments are those of project_at: M poses (M, 4, 4), points (M, K, 3).
-    """
-    return projected(mounted, T_rbase_lbase, T_base_eye[..., None, :, :], points)
-
-
-def projected(
     mounted: MountedCamera,
     T_rbase_lbase: Array,
     T_base_eye: Array,
@@ -113,10 +103,11 @@ def projected(
     *,
     parameters: bool = True,
 ) -> ProjectionJacobians:
-    """Project points (..., 3) of the left eye's base, at poses (..., 4, 4) that broadcast.
+    """Project points (..., 3) of the left eye's base, with derivatives by all that moves pixels.
 
-    Where the derivatives by lens, T_eye_cam and T_rbase_lbase are not wanted, these have no
-    columns.
+    The points broadcast with poses (..., 4, 4) of the camera's eye in its base.
+
+    Derivatives by lens, T_eye_cam and T_rbase_lbase have no columns without `parameters`.
     """
     turned, arm, from_camera, in_camera = _way(mounted, T_rbase_lbase, T_base_eye, points)
     pixels, by_cam, by_lens = project_jacobians(
@@ -167,29 +158,11 @@ def by_pose_of_points(by_point: Array, turned: Array) -> Array:
     return found
 
 
-def rows_times(rows: Array, matrix: Array) -> Array:
-    """Multiply each row of (M, K, 2, n) by the matrix (M, n, m) of its posture."""
-    return product(rows, matrix[:, None])
-
-
 def T_lbase_cam(mounted: MountedCamera, T_rbase_lbase: Array, T_base_eye: Array) -> Array:
     """Compute poses (..., 4, 4) of a camera in the left eye's base, at those of its eye."""
-    return T_lbase_eye(mounted.eye, T_rbase_lbase, T_base_eye) @ mounted.T_eye_cam
+    return product(T_lbase_eye(mounted.eye, T_rbase_lbase, T_base_eye), mounted.T_eye_cam)
 
 
 def T_lbase_eye(eye: Side, T_rbase_lbase: Array, T_base_eye: Array) -> Array:
     """Compute poses (..., 4, 4) of an eye in the left eye's base, at those in its own base."""
-    return T_base_eye if eye == "left" else inverse(T_rbase_lbase) @ T_base_eye
-
-
-def camera_pose(
-    mounted: MountedCamera, T_rbase_lbase: Array, T_base_eye: Array
-) -> tuple[Array, Array]:
-    """Compute rotation (..., 3, 3) and centre (..., 3) of a camera in the left eye's base."""
-    R_eye, t = T_base_eye[..., :3, :3], T_base_eye[..., :3, 3]
-    R = product(R_eye, mounted.T_eye_cam[:3, :3])
-    centre = t + times(R_eye, mounted.T_eye_cam[:3, 3])
-    if mounted.eye == "left":
-        return R, centre
-    back = T_rbase_lbase[:3, :3].T
-    return product(back, R), times(back, centre - T_rbase_lbase[:3, 3])
+    return T_base_eye if eye == "left" else product(inverse(T_rbase_lbase), T_base_eye)

@@ -23,7 +23,7 @@ from vergence.geometry.batches import (
 from vergence.geometry.eye_motion import eye_motions
 from vergence.geometry.head import HeadCalibration, stated_covariance, states_covariance
 from vergence.geometry.parameters import camera_columns, parameter_names
-from vergence.geometry.projection import projected
+from vergence.geometry.projection import project_with_jacobians
 from vergence.geometry.se3 import cross
 from vergence.stereo.sightings import Sightings
 from vergence.stereo.triangulation import intersect_rays
@@ -96,7 +96,7 @@ def linearised(seen: Sightings, *, parameters: bool = True) -> Linearised:
     eyes = eye_motions(head, seen.joints, errors=parameters)
     points, status = intersect_rays(seen, [eye.T_base_eye for eye in eyes])
     views = [
-        projected(
+        project_with_jacobians(
             head.camera(name), head.T_rbase_lbase, eye.T_base_eye, points, parameters=parameters
         )
         for name, eye in zip(seen.cameras, eyes, strict=True)

@@ -7,7 +7,6 @@ of stereo pairs" (2000); the lens is undone by the map, so any lens model will d
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -29,18 +28,14 @@ from vergence.geometry.camera import (
 from vergence.geometry.eye_motion import check_joints
 from vergence.geometry.head import HeadCalibration, pair_names
 from vergence.geometry.kinematics import checked_readings
-from vergence.geometry.se3 import inverse, pose, transform
+from vergence.geometry.se3 import inverse, pose
 from vergence.stereo.extrinsics import camera_poses, stereo_cameras
 
 FOCAL_SHARE = 0.85
 """Focal length of the rectified cameras, relative to the mean of the real ones: eyes that diverge
 need a wider view."""
-LEAST_SHOWN = 0.1
-"""Least share that a pair must show of the points that both images show. With an epipole in the
-images, the plane of the pair is nearly along the rays."""
-_GRID = 24
-"""Rays along each axis of the image, and distances in baselines, for the share that is shown."""
-_DISTANCES = np.array([4.0, 16.0, 64.0, 1024.0])
+LEAST_OVERLAP = 0.05
+"""Share of the rows in which the views must overlap."""
 _ROWS = 16
 """Rows of a map that are projected at a time, so that they stay in the cache."""
 _OUTSIDE = -1e4
@@ -118,11 +113,15 @@ def rectify(
 
     Raises:
         VergenceError: the head has no such pair, the joints are not known ones of one posture, size
-            or focal length are not positive, or the pair would show less than LEAST_SHOWN of what
-            both images do.
+            or focal length are not positive, or the two views do not overlap.
     """
     left, right = stereo_cameras(head, cameras)
-    at = _known_posture(head, joints)
+    at = floats("joints", joints).copy()  # which the pair keeps
+    if at.shape != (2, 4, 4):
+        at = checked_readings(head.kinematics, at, one_posture=True)
+    if not np.isfinite(at).all():
+        raise VergenceError(f"A pair is rectified at known joints; found {at.ravel()}.")
+    check_joints(head.kinematics, at)
     if focal_px is not None and not 0 < focal_px < np.inf:
         raise VergenceError(f"focal_px is above 0 pixels, found {focal_px:g}.")
     if size is not None and not is_image_size(size):
@@ -143,16 +142,14 @@ def rectify(
     size = own_size if size is None else size
     looks = axes @ R_rect_lcam.T
     if (looks[:, 2] <= 0).any():
-        raise _nothing_in_common(cameras, 0.0)
+        raise _apart(cameras)
     matrix = _matrix(looks, focal_px or own_px, size)
     views = [
         RectifiedView(lens, R, *_map(lens, R, matrix, size))
         for lens, R in zip(lenses, (R_rect_lcam, R_rect_lcam @ R_lcam_rcam), strict=True)
     ]
-    whole = _matrix(looks, own_px, own_size)
-    shown = _share_shown(views, T_rcam_lcam, whole, own_size)
-    if shown < LEAST_SHOWN:
-        raise _nothing_in_common(cameras, shown)
+    if _overlap(*views) < LEAST_OVERLAP:
+        raise _apart(cameras)
     return RectifiedPair(
         head=head,
         joints=at,
@@ -166,7 +163,7 @@ def rectify(
 
 
 def _matrix(looks: Array, focal_px: float, size: tuple[int, int]) -> Array:
-    """Return the matrix (3, 3) that puts both views, which look along (2, 3), in the middle."""
+    """Compute the matrix (3, 3) that puts both views, which look along (2, 3), in the middle."""
     shift = focal_px * (looks[:, :2] / looks[:, 2:]).mean(axis=0)
     cx, cy = (np.array(size) - 1) / 2 - shift
     return np.array([[focal_px, 0, cx], [0, focal_px, cy], [0, 0, 1]])
@@ -192,67 +189,35 @@ def _pixels_of_rays(camera: Camera, rays: Array) -> Array:
     return pixels.clip(_OUTSIDE, -_OUTSIDE)
 
 
-def _share_shown(
-    views: Sequence[RectifiedView], T_rcam_lcam: Array, matrix: Array, size: tuple[int, int]
-) -> float:
-    """Compute which share of the points that both images show is in both rectified ones too.
-
-    The points are on the rays of a grid of the left image's pixels; 0 if no image shows both.
-    """
-    left, right = (view.camera for view in views)
-    u, v = (np.linspace(0, n - 1, _GRID) for n in left.size)
-    here = np.stack(np.meshgrid(u, v), axis=-1)
-    distances = np.linalg.norm(T_rcam_lcam[:3, 3]) * _DISTANCES
-    points = unproject(left, here) * distances[:, None, None, None]
-    there = _pixels_of_rays(right, transform(T_rcam_lcam, points))
-    both = _within(there, right.size)
-    shown = both.copy()
-    for view, pixels in zip(views, (here, there), strict=True):
-        shown &= _within(_rectified(view, matrix, pixels), size)
-    return float(shown.sum() / max(both.sum(), 1))
-
-
-def _within(pixels: Array, size: tuple[int, int]) -> np.ndarray:
-    """Return (...,) whether pixels (..., 2) are in an image of a width and a height."""
-    return np.asarray(((pixels >= 0) & (pixels <= np.array(size) - 1)).all(axis=-1))
-
-
-def _known_posture(head: HeadCalibration, joints: ArrayLike) -> Array:
-    """Return the readings (r,) [rad], or measured poses (2, 4, 4), of one posture as an array.
-
-    VergenceError if they are not those of one posture, one of them is not known, or poses are not
-    rigid.
-    """
-    at = floats("joints", joints).copy()  # which the pair keeps
-    if at.shape != (2, 4, 4):
-        at = checked_readings(head.kinematics, at, one_posture=True)
-    if not np.isfinite(at).all():
-        raise VergenceError(f"A pair is rectified at known joints; found {at.ravel()}.")
-    check_joints(head.kinematics, at)
-    return at
-
-
 def _orientation(baseline: Array, forward: Array) -> Array:
-    """Return R_rect_lcam (3, 3), whose rows are the rectified axes: x along the baseline."""
+    """Compute R_rect_lcam (3, 3), whose rows are the rectified axes: x along the baseline."""
     x = baseline / np.linalg.norm(baseline)
     y = np.cross(forward, x)
     y /= max(float(np.linalg.norm(y)), 1e-12)
     return np.stack([x, y, np.cross(x, y)])
 
 
-def _nothing_in_common(cameras: tuple[str, str] | None, shown: float) -> VergenceError:
+def _overlap(left: RectifiedView, right: RectifiedView) -> float:
+    """Compute the share of the rows in which a point at some distance is seen by both."""
+    columns = np.arange(left.map_x.shape[1])
+    last = np.where(left.seen, columns, -1).max(axis=1)
+    first = np.where(right.seen, columns, len(columns)).min(axis=1)
+    return float((last > first).mean())
+
+
+def _apart(cameras: tuple[str, str] | None) -> VergenceError:
     names = "the two cameras" if cameras is None else " and ".join(cameras)
     return VergenceError(
-        f"A rectified pair of {names} would show {shown:.0%} of what both images show at this "
-        "posture; rectify where both eyes look the same way, across the line between the cameras."
+        f"The views of {names} do not overlap at this posture; rectify where both eyes look the "
+        "same way, across the line between the cameras."
     )
 
 
 def rectified_image(view: RectifiedView, image: np.ndarray) -> np.ndarray:
-    """Return the rectified image (H, W, ...) of a real one, of its type; 0: it shows nothing.
+    """Rectify an image to (H, W, ...), of its type; 0: it shows nothing.
 
     VergenceError if the image is not (height, width) or (height, width, channels) of the view's
-    camera, or of a type that OpenCV does not map.
+    camera.
     """
     image, size = np.asarray(image), (view.camera.height, view.camera.width)
     if image.ndim not in (2, 3) or image.shape[:2] != size:
@@ -260,29 +225,21 @@ def rectified_image(view: RectifiedView, image: np.ndarray) -> np.ndarray:
             f"This view rectifies images of {size[1]} x {size[0]} px, whose arrays are {size} or "
             f"{(*size, 3)}; found an array of shape {image.shape}."
         )
-    if image.dtype not in (np.uint8, np.uint16, np.float32, np.float64):
-        raise VergenceError(
-            f"A view rectifies images of uint8, uint16 or floats; found an array of {image.dtype}."
-        )
     return cv2.remap(image, view.map_x, view.map_y, cv2.INTER_LINEAR)
 
 
 def rectified_pixels(pair: RectifiedPair, view: RectifiedView, pixels: Array) -> Array:
-    """Return where pixels (..., 2) of a view's real image are in its rectified one; NaN: nowhere.
+    """Compute where pixels (..., 2) of a view's real image are in its rectified one; NaN: nowhere.
 
     The difference of a point's columns, left minus right, is its disparity; its rows are the same.
     """
-    return _rectified(view, pair.matrix, pixels)
-
-
-def _rectified(view: RectifiedView, matrix: Array, pixels: Array) -> Array:
     rays = unproject(view.camera, pixels) @ view.R_rect_cam.T
     z = np.where(rays[..., 2:] > 0, rays[..., 2:], np.nan)
-    return (rays / z @ matrix.T)[..., :2]
+    return (rays / z @ pair.matrix.T)[..., :2]
 
 
 def rectified_points(pair: RectifiedPair, pixels: Array, disparity: Array) -> Array:
-    """Return points (..., 3) [m] in the left rectified camera, by its pixels and disparities [px].
+    """Compute points (..., 3) [m] in the left rectified camera, by its pixels and disparities [px].
 
     NaN where a disparity is not positive.
     """

@@ -19,7 +19,7 @@ from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration, T_head_base
 from vergence.geometry.kinematics import check_radians
 from vergence.geometry.neck import T_body_head
-from vergence.geometry.projection import camera_pose
+from vergence.geometry.projection import T_lbase_cam
 from vergence.geometry.se3 import checked_points, cross, transform
 from vergence.stereo.sightings import Sightings, in_chunks, sightings
 
@@ -80,10 +80,11 @@ def intersect_rays(seen: Sightings, eyes: Sequence[Array]) -> tuple[Array, np.nd
     poses T_base_eye (..., 4, 4) of the left and the right one.
     """
     pair = [seen.head.camera(name) for name in seen.cameras]
-    (R_left, centre), (R_right, other) = (
-        camera_pose(mounted, seen.head.T_rbase_lbase, T)
+    poses = [
+        T_lbase_cam(mounted, seen.head.T_rbase_lbase, T)
         for mounted, T in zip(pair, eyes, strict=True)
-    )
+    ]
+    (R_left, centre), (R_right, other) = ((T[..., :3, :3], T[..., :3, 3]) for T in poses)
     lenses, base = (pair[0].intrinsics, pair[1].intrinsics), other - centre
     left, right = _coplanar_rays(seen, lenses, (R_left, R_right), base)
     normal = cross(left, right)
