@@ -178,7 +178,7 @@ def test_one_eye_that_sees_each_board_once_leaves_its_mountings_open():
     assert "left_wide.T_eye_cam" in text
     assert "left_narrow.T_eye_cam" in text
     assert "not observable" in text
-    assert "sees each board in one view only" in text
+    assert "boards at rest" in text
     assert "right_wide sees no board" in text
 
 

@@ -199,21 +199,6 @@ def test_general_eye_poses_have_noise_in_rotation_and_translation():
     assert np.count_nonzero(np.array(p) < 0.95) >= 5
 
 
-def test_poses_of_pan_and_tilt_are_taken_as_pan_and_tilt():
-    recording = record(5, joint_std=0.002, pixel_std_px=0.1)
-    poses = replace(recording, readings=pan_tilt_pose(recording.readings))
-    np.testing.assert_allclose(solve(poses).T_eye_cam, solve(recording).T_eye_cam, atol=1e-9)
-
-
-def test_noise_of_rotation_and_translation_may_be_given_for_poses_of_pan_and_tilt():
-    recording = record(5, joint_std=0.002, pixel_std_px=0.1)
-    poses = replace(recording, readings=pan_tilt_pose(recording.readings))
-    found = solve(poses, joint_std=(0.002, 1e-4))
-    assert found.joint_std == pytest.approx((0.002,))
-    with pytest.raises(VergenceError, match=r"one number \[rad\], found \(0.002, 0.0001\)"):
-        solve(recording, joint_std=(0.002, 1e-4))
-
-
 # Recordings that do not determine the mounting.
 
 
@@ -226,9 +211,9 @@ def test_a_motion_below_its_noise_voids_the_result():
 @pytest.mark.parametrize(
     ("reach", "words"),
     [
-        ((0.25, 0), ["T_eye_cam rotation about z and translation along z", "share one axis"]),
-        ((0, 0.25), ["T_eye_cam rotation about y and translation along y", "share one axis"]),
-        ((0, 0), ["rotation about x", "rotation about z", "translation along y", "rad only"]),
+        ((0.25, 0), ["T_eye_cam rotation about z and translation along z"]),
+        ((0, 0.25), ["T_eye_cam rotation about y and translation along y"]),
+        ((0, 0), ["rotation about x", "rotation about z", "translation along y"]),
     ],
 )
 def test_an_axis_that_does_not_move_is_named_with_what_it_hides(reach, words):
@@ -253,14 +238,12 @@ def test_a_motion_that_is_small_but_seen_leaves_a_large_stated_error():
     recording = record(7, joint_std=0.001, pixel_std_px=0.1, reach=(0.25, 0.005))
     found = solve(recording)
     assert stated_probability(found, recording) < 0.99
-    assert any("share one axis to within 0.0" in text for text in texts(found.findings))
 
 
 def test_pan_and_tilt_that_move_together_are_named():
     together = record(8, joint_std=0.002, pixel_std_px=0.1, views=12, together=True)
     text = " ".join(texts(solve(together, start=together.T_eye_cam).findings))
     assert "observable" in text
-    assert "share one axis" in text
 
 
 def test_two_views_are_too_few_and_said_so():
@@ -276,7 +259,6 @@ def test_general_poses_about_one_axis_are_named():
     found = solve(recording, start=recording.T_eye_cam)
     text = " ".join(texts(found.findings))
     assert "rotation about x and translation along x: not observable" in text
-    assert "share one axis" in text
 
 
 @pytest.mark.parametrize(

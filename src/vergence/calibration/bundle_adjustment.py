@@ -24,7 +24,7 @@ from vergence.calibration.systematic_errors import systematic_errors
 from vergence.errors import VergenceError
 from vergence.estimation.adjustment import Adjustment, adjust
 from vergence.estimation.noise import Level
-from vergence.estimation.residual import OUTLIER, Residual
+from vergence.estimation.residual import OUTLIER, Levels, Residual
 from vergence.findings import Finding
 from vergence.geometry.head import HeadCalibration, main_pair
 from vergence.geometry.head_accuracy import Accuracy
@@ -46,6 +46,8 @@ FIRST_PX = 0.1
 """Least first noise of a corner [px], or of a measured pose [stated ones]."""
 FLOOR_PX = 1e-3
 """No corner is found better than that; keeps exact data from dividing by zero."""
+FLOOR_TARGET = 1e-7
+"""No pose of a target is measured better than that [rad or m]; the same for poses."""
 GENEROUS_JOINT = 0.01
 """First joint noise [rad or m]: large, so that good readings do not pass for outliers before the
 level is known."""
@@ -102,8 +104,8 @@ class BundleEstimate:
     NaN where not seen."""
     findings: tuple[Finding, ...]
     """What the data cannot determine, and why; the most severe first."""
-    cost: float
-    """-2 log of the restricted likelihood at these noise levels, up to a constant."""
+    levels: Levels
+    """Standard deviation of each noise level, by name."""
 
     @property
     def accuracy(self) -> Accuracy:
@@ -187,9 +189,13 @@ def _levels(
             f"joint_std is one number, or {len(names)}, as many as these readings have kinds; "
             f"found {tuple(joint_std.tolist())}."
         )
-    pixel = FIRST_PX if pixel_std_px is None else pixel_std_px
-    of_corners = Level(str(problem.measured.level), pixel, pixel_std_px is not None, floor=FLOOR_PX)
-    levels, postures = [of_corners], problem.readings.postures
+    measured, postures = problem.measured.level, problem.readings.postures
+    if isinstance(measured, tuple):
+        of_targets = dict.fromkeys(measured)
+        levels = [Level(name, GENEROUS_JOINT, floor=FLOOR_TARGET) for name in of_targets]
+    else:
+        pixel = FIRST_PX if pixel_std_px is None else pixel_std_px
+        levels = [Level(measured, pixel, pixel_std_px is not None, floor=FLOOR_PX)]
     for k, name in enumerate(names):
         latent = tuple(i for i, each in enumerate(problem.readings.level) if each == name)
         turned = 1.0  # angle of a joint by one radian of its reading: see `factors`
@@ -240,13 +246,13 @@ def _estimate(
             for name, px in systematic.items()
             if px > max(SHOWN_SYSTEMATIC * pixel_px, assumed_px)
         },
-        joint_std=tuple(found.levels[level.name] for level in levels[1:]),
+        joint_std=tuple(found.levels[name] for name in dict.fromkeys(problem.readings.level)),
         T_lbase_target=dict(zip(problem.placements.tolist(), x["boards"], strict=True)),
         board_scale=x["board_scale"],
         T_base_eye=T_base_eye,
         residuals_px=_residuals(problem, found, len(T_base_eye)),
         findings=findings.all(observations),
-        cost=found.cost,
+        levels=found.levels,
     )
 
 

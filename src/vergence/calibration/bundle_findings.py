@@ -18,7 +18,6 @@ from vergence.findings import Finding, by_severity, void, warning
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.lens import COEFFICIENTS
 from vergence.geometry.parameters import parameter_names
-from vergence.geometry.se3 import rotvec
 
 FEW = 6
 """Degrees of freedom below which an estimated noise level is heavy-tailed, and the covariance
@@ -36,8 +35,6 @@ MOST_NAMED = 3
 """Most readings that lost their weight and are named one by one; the rest are counted."""
 NAMED = 0.3
 """A direction's components of this size, relative to the largest, are named."""
-SMALL_RAD = 0.05
-"""Motion below this is small; a good recording turns the eyes by +-0.25 rad."""
 ADVISED = "by at least 0.1 rad, better 0.25"
 """Median stated deviation of the worst axis, 20 views at 0.1 px and 0.1 degrees, board at 0.4 m:
 0.92 degrees and 2.6 mm for motion within 0.03 rad, 0.27 and 0.8 within 0.1, 0.10 and 0.3 within
@@ -82,6 +79,18 @@ class BundleFindings:
     def eyes(self) -> np.ndarray:
         """(M,) the eye of each detection."""
         return self.problem.measured.detections.eyes
+
+    @property
+    def readings(self) -> Readings:
+        """Return the readings as they follow the estimate."""
+        readings = self.found.residuals[1]
+        assert isinstance(readings, Readings)
+        return readings
+
+    @property
+    def reading_levels(self) -> list[Level]:
+        """Return the noise levels of the readings."""
+        return [level for level in self.levels if level.latent]
 
     @property
     def poses_read(self) -> bool:
@@ -190,16 +199,8 @@ def _unobservable(of: BundleFindings) -> Iterator[Finding]:
         for owners, large in merged.items():
             parts = {o: [word[i] for i in sorted(large) if owner[i] == o] for o in owners}
             subject = " together with ".join(f"{o} {listed(parts[o])}".strip() for o in owners)
-            eyes = sorted({eye for o in owners for eye in _eyes_of(of, o)})
-            sentence = f"{subject}: {what}; {_missing_motion(of, eyes)}."
+            sentence = f"{subject}: {what}; {_missing_motion(of)}."
             yield warning("unobservable", sentence, ", ".join(owners))
-
-
-def _eyes_of(of: BundleFindings, owner: str) -> list[int]:
-    detections, camera = of.problem.measured.detections, owner.removesuffix(".T_eye_cam")
-    if camera in detections.cameras:
-        return [int(detections.eye[detections.cameras.index(camera)])]
-    return [EYES.index(owner)] if owner in EYES else np.unique(detections.eye).tolist()
 
 
 def _sparse(rows: Array) -> Array:
@@ -214,36 +215,16 @@ def _sparse(rows: Array) -> Array:
     return rows
 
 
-def _missing_motion(of: BundleFindings, eyes: list[int]) -> str:
-    """Return what the motion of the eyes lacks."""
+def _missing_motion(of: BundleFindings) -> str:
+    """Return what to record."""
     board = of.problem.measured.detections.board
-    if len(eyes) == 2 and not set(board[of.eyes == 0]) & set(board[of.eyes == 1]):
+    boards = [set(board[of.eyes == eye]) for eye in np.unique(of.eyes)]
+    if not set.intersection(*boards):
         return "no board stands where both eyes see it; show the same board to both"
-    causes = [cause for eye in eyes if (of.eyes == eye).any() for cause in _motion(of, eye)]
-    return ", ".join(causes) or (
-        "the views do not distinguish it from other unknowns; record more of them, with all joints "
-        "moved by 0.25 rad and boards at several distances and slants"
+    return (
+        f"turn every joint of each eye {ADVISED}, before boards at rest at several distances and "
+        "slants"
     )
-
-
-def _motion(of: BundleFindings, eye: int) -> Iterator[str]:
-    """Describe what is wrong with the motion of one eye before boards at rest."""
-    rows, board = _seen_boards(of, eye)
-    who = of.name_of_eye(eye)
-    if np.bincount(board).max() < 2:
-        yield f"{who} sees each board in one view only; let it move before a board at rest"
-        return
-    R = of.problem.measured.detections.eye_poses(of.found.x)[rows, :3, :3]
-    first = np.unique(board, return_index=True)[1]
-    turns = rotvec(np.swapaxes(R[first][board], 1, 2) @ R)
-    reach = np.linalg.svd(turns, compute_uv=False) / np.sqrt(len(turns))
-    if reach[0] < SMALL_RAD:
-        yield f"{who} turns by {reach[0]:.2g} rad only; turn it about two axes {ADVISED}"
-    elif reach[1] < SMALL_RAD:
-        yield (
-            f"all turns of {who} share one axis to within {reach[1]:.2g} rad; turn it about "
-            f"another axis as well, {ADVISED}"
-        )
 
 
 def _seen_boards(of: BundleFindings, eye: int) -> tuple[np.ndarray, np.ndarray]:
@@ -257,10 +238,9 @@ def _seen_boards(of: BundleFindings, eye: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _noise(of: BundleFindings) -> Iterator[Finding]:
     """Name noise levels that were assumed, or rest on few readings."""
-    names = {"rotations": ("the eyes' measured rotations", "rad")}
-    names["translations"] = ("the eyes' measured places", "m")
-    for level in of.levels[1:]:
-        what, unit = names.get(level.name, ("the joint readings", "rad"))
+    for level in of.reading_levels:
+        what = f"the measured {level.name} of the eyes" if of.poses_read else "the joint readings"
+        unit = "m" if level.name == "translations" else "rad"
         left = of.found.redundancy[level.name]
         if of.found.assumed[level.name]:
             sentence = (
@@ -282,11 +262,11 @@ def _noisy_readings(of: BundleFindings) -> Iterator[Finding]:
 
     Joints in another order than described turn like noise: by the square of the angles.
     """
-    if of.poses_read or len(of.levels) < 3:
+    if of.poses_read or len(of.reading_levels) < 2:
         return
     kinematics, postures = of.found.x["head"].kinematics, of.problem.readings.postures
-    columns = [np.unique(postures.columns[:, list(level.latent)]) for level in of.levels[1:]]
-    noise = np.array([of.found.levels[level.name] for level in of.levels[1:]])
+    columns = [np.unique(postures.columns[:, list(level.latent)]) for level in of.reading_levels]
+    noise = np.array([of.found.levels[level.name] for level in of.reading_levels])
     noise *= [kinematics.factors[each].max() for each in columns]
     worst = int(noise.argmax())
     others = np.delete(noise, worst).max()
@@ -302,29 +282,25 @@ def _noisy_readings(of: BundleFindings) -> Iterator[Finding]:
 
 def _lost_corners(of: BundleFindings) -> Iterator[Finding]:
     """Report corners that lost their weight, and the view with the most of them."""
-    measured, found = of.problem.measured, of.found
-    lost = (measured.seen & (found.linear.weights[0] < 1)).sum(axis=1)
+    measured = of.problem.measured
+    lost = (measured.seen & (of.found.linear.weights[0] < 1)).sum(axis=1)
     views = measured.detections.views
     by_view, seen = np.bincount(views, lost), np.bincount(views, measured.seen.sum(axis=1))
     worst = int(by_view.argmax())
     if lost.sum() <= LOST * seen.sum() and by_view[worst] <= seen[worst] / 2:
         return
-    level = found.levels[str(measured.level)]
-    what, unit = "corners", f"{level:.2g} px"
-    if not isinstance(measured, Reprojection):
-        what, unit = "numbers of measured poses", f"{level:.2g} stated ones"
+    what = "corners" if isinstance(measured, Reprojection) else "numbers of measured poses"
     sentence = (
-        f"{lost.sum()} of {int(seen.sum())} {what} lie beyond 4 standard deviations of {unit} and "
-        f"lost their weight, {by_view[worst]:.0f} of them in view {worst}: the board may have "
-        "moved, or the image may be blurred."
+        f"{lost.sum()} of {int(seen.sum())} {what} lie beyond 4 standard deviations and lost their "
+        f"weight, {by_view[worst]:.0f} of them in view {worst}: the board may have moved, or the "
+        "image may be blurred."
     )
     yield warning("outlying-corners", sentence, f"view {worst}")
 
 
 def _lost_readings(of: BundleFindings) -> Iterator[Finding]:
     """Name readings that lost their weight, the worst ones first."""
-    readings = of.found.residuals[1]
-    assert isinstance(readings, Readings)
+    readings = of.readings
     off = np.where(of.found.linear.weights[1] < 1, of.found.errors[1], 0.0)
     size = np.abs(off) / [of.found.levels[name] for name in readings.level]
     rows = np.argsort(-size.max(axis=1, initial=0), kind="stable")
@@ -356,8 +332,7 @@ def _apart_in_time(of: BundleFindings) -> Iterator[Finding]:
     The errors of the readings are then proportional to the eye's velocity. The factor, by weighted
     least squares, is how much later than the offset the images of that eye are.
     """
-    readings, x = of.found.residuals[1], of.found.x
-    assert isinstance(readings, Readings)
+    readings, x = of.readings, of.found.x
     posture = of.problem.measured.detections.posture
     owner, eye = np.unique(np.stack([posture, of.eyes]), axis=1)
     if readings.around is None or (np.diff(owner) == 0).any() or len(np.unique(eye)) < 2:

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.lens_prior import LAST_ASSUMED, lens_priors
 from vergence.calibration.observations import Observations, missing_reading
-from vergence.calibration.read_motion import ReadMotion, read_motion
+from vergence.calibration.read_motion import read_motion
 from vergence.calibration.residuals import (
+    TARGET_SHIFTS,
+    TARGET_TURNS,
+    TARGETS,
     Detections,
     Index,
     Postures,
@@ -21,7 +24,7 @@ from vergence.calibration.residuals import (
     TargetPoses,
 )
 from vergence.calibration.unknowns import board_scale_block, boards_block, head_block
-from vergence.data.timing import Stencil, stencil
+from vergence.data.timing import stencil
 from vergence.errors import VergenceError
 from vergence.estimation.residual import Residual
 from vergence.estimation.variables import Latent, Variables
@@ -52,8 +55,8 @@ class PoseObservations:
 
     T_cam_target: Mapping[str, Array]
     """By camera: (V, 4, 4); NaN where none was measured."""
-    whitening: Mapping[str, Array]
-    """By camera: (V, 6, 6), see residuals.TargetPoses."""
+    whitening: Mapping[str, Array] | None
+    """By camera: (V, 6, 6), see residuals.TargetPoses; None: no deviations are stated."""
     placement: np.ndarray
     """As the two that follow, see Observations."""
     eye_angles: Array
@@ -96,108 +99,79 @@ def bundle_problem(
     theirs. `least_blocks` is that of reading_levels; other arguments and errors are those of
     `bundle_adjust`.
     """
-    names = tuple(start.cameras)
+    cameras, V = start.cameras, len(observations.placement)
     if isinstance(observations, PoseObservations):
-        found = _target_poses(start, observations)
+        T = _stacked(observations.T_cam_target, cameras, (V, 4, 4))
+        placed = known_poses(T)
+        seen = np.repeat(placed[..., None], 6, axis=2)
     else:
-        found = _corners(start, observations, points, T_cam_target)
-    if not found.seen.any():
-        raise VergenceError(f"None of {', '.join(names)} sees a board.")
+        points = corner_points(observations.board) if points is None else points
+        corners = _stacked(observations.corners, cameras, (V, len(points), 2))
+        seen, solved = seen_corners(corners), T_cam_target or {}
+        placed = determines_pose(points, seen)
+        T = np.stack([
+            solved[name] if name in solved else board_poses(each.intrinsics, corners[c], points)
+            for c, (name, each) in enumerate(cameras.items())
+        ])  # fmt: skip
+    if not seen.any():
+        raise VergenceError(f"None of {', '.join(cameras)} sees a board.")
     # A placement without one view that determines the board's pose is of no use.
-    useful = found.placed.any(axis=0)
-    numbers = np.unique(observations.placement[useful])
-    camera, view = np.nonzero(found.seen.any(axis=2) & np.isin(observations.placement, numbers))
-    eye = np.array([EYES.index(each.eye) for each in start.cameras.values()], dtype=np.intp)
+    numbers = np.unique(observations.placement[placed.any(axis=0)])
+    image = np.nonzero(seen.any(axis=2) & np.isin(observations.placement, numbers))
+    camera, view = image
+    eye = np.array([EYES.index(each.eye) for each in cameras.values()], dtype=np.intp)
     posture, postures = _postures(start.kinematics, observations, view, eye[camera])
     board = np.searchsorted(numbers, observations.placement[view])
-    detections = Detections(names, eye, camera, board, posture, postures)
-    around = _neighbours(observations, postures)
-    level = reading_levels(detections, start.kinematics, least_blocks)
-    motion = None if around is None else _read_motion(observations, postures, around)
-    readings = Readings(postures=postures, level=level, around=around, read_motion=motion)
-    free = _free(start, fixed, detections)
+    detections = Detections(tuple(cameras), eye, camera, board, posture, postures)
+    seen = seen[image]
+    if isinstance(observations, PoseObservations):
+        whitening, level = observations.whitening, TARGETS
+        if whitening is None:
+            whitening = dict.fromkeys(cameras, np.tile(np.eye(6), (V, 1, 1)))
+            level = (TARGET_TURNS,) * 3 + (TARGET_SHIFTS,) * 3
+        measured = TargetPoses(
+            detections=detections,
+            T_cam_target=T[image],
+            whitening=_stacked(whitening, cameras, (V, 6, 6))[image],
+            seen=seen,
+            level=level,
+        )
+    else:
+        assert points is not None
+        measured = Reprojection(
+            detections=detections,
+            pixels=np.where(seen[..., None], corners[image], 0.0),
+            seen=seen,
+            points=points,
+            noise_scale=np.ones(len(camera)),
+            systematic_px=observations.systematic_px,
+        )
+    priors = []
+    for name, mounted in cameras.items():
+        last = LAST_ASSUMED.get(mounted.intrinsics.model)
+        priors += lens_priors(mounted.intrinsics, f"{name}.{last}" not in fixed, name)
     offset_s = start.time_offset_s if "time_offset_s" in fixed else 0.0
-    sized = found.whitening is None and _measures_lengths(observations.T_base_eye)
+    head = replace(start, time_offset_s=offset_s, accuracy=None)
+    sized = isinstance(measured, Reprojection) and _measures_lengths(observations.T_base_eye)
     x = Variables(
         {
-            "head": head_block(replace(start, time_offset_s=offset_s, accuracy=None), free),
+            "head": head_block(head, _free(start, fixed, detections)),
             "boards": boards_block(np.tile(np.eye(4), (len(numbers), 1, 1))),
             "board_scale": board_scale_block(free=sized),
         },
         Latent(postures.reading, postures.reading.shape[1]),
     )
-    if found.whitening is not None:
-        measured = TargetPoses(
-            detections=detections,
-            T_cam_target=found.T_cam_target[camera, view],
-            whitening=found.whitening[camera, view],
-            seen=np.ones((len(camera), 6), bool),
-        )
-    else:
-        assert isinstance(observations, Observations)
-        seen = found.seen[camera, view]
-        measured = Reprojection(
-            detections=detections,
-            pixels=np.where(seen[..., None], found.pixels[camera, view], 0.0),
-            seen=seen,
-            points=found.points,
-            noise_scale=np.ones(len(camera)),
-            systematic_px=observations.systematic_px,
-        )
-    priors = []
-    for name, mounted in start.cameras.items():
-        last = LAST_ASSUMED.get(mounted.intrinsics.model)
-        priors += lens_priors(mounted.intrinsics, f"{name}.{last}" not in fixed, name)
-    measured, x, turned = _place_boards(measured, x, found.T_cam_target[camera, view])
+    measured, x, turned = _place_boards(measured, x, T[image])
+    level = reading_levels(detections, start.kinematics, least_blocks)
+    readings = _readings(observations, postures, level)
     return BundleProblem(measured, readings, tuple(priors), x, numbers, turned)
 
 
-class _Seen(NamedTuple):
-    """What C cameras found in V views: K corners of a board, or a pose."""
-
-    pixels: Array
-    """(C, V, K, 2)."""
-    seen: np.ndarray
-    """(C, V, K)."""
-    placed: np.ndarray
-    """(C, V) where that is enough to determine T_cam_target."""
-    T_cam_target: Array
-    """(C, V, 4, 4); NaN where it is not."""
-    points: Array
-    """(K, 3) corners in frame target [m]."""
-    whitening: Array | None = None
-    """(C, V, 6, 6) of measured poses; None: corners."""
-
-
-def _corners(
-    start: HeadCalibration,
-    observations: Observations,
-    points: Array | None,
-    T_cam_target: Mapping[str, Array] | None,
-) -> _Seen:
-    board, given = observations.board, T_cam_target or {}
-    nothing = np.full((len(observations.placement), board.columns * board.rows, 2), np.nan)
-    corners = np.stack([observations.corners.get(name, nothing) for name in start.cameras])
-    seen = seen_corners(corners)
-    points = corner_points(board) if points is None else points
-    poses = [
-        given[name] if name in given else board_poses(mounted.intrinsics, corners[c], points)
-        for c, (name, mounted) in enumerate(start.cameras.items())
-    ]
-    return _Seen(corners, seen, determines_pose(points, seen), np.stack(poses), points)
-
-
-def _target_poses(start: HeadCalibration, observations: PoseObservations) -> _Seen:
-    V = len(observations.placement)
-    nothing = np.full((V, 4, 4), np.nan), np.full((V, 6, 6), np.nan)
-    poses, whitening = (
-        np.stack([each.get(name, none) for name in start.cameras])
-        for each, none in zip(
-            (observations.T_cam_target, observations.whitening), nothing, strict=True
-        )
-    )
-    placed = known_poses(poses)
-    return _Seen(np.zeros(0), placed[..., None], placed, poses, np.zeros((0, 3)), whitening)
+def _stacked(
+    by_camera: Mapping[str, Array], cameras: Collection[str], shape: tuple[int, ...]
+) -> Array:
+    """Stack arrays of a shape (C, ...), NaN where a camera has none."""
+    return np.stack([by_camera.get(name, np.full(shape, np.nan)) for name in cameras])
 
 
 def _postures(
@@ -271,30 +245,19 @@ def reading_levels(
     return tuple(f"readings {k}" for k in numbers.tolist())
 
 
-def _neighbours(
-    observations: Observations | PoseObservations, postures: Postures
-) -> Stencil | None:
-    """Return the neighbours of each posture in time; None: the eyes stood still in all views."""
-    if observations.timing is None:
-        return None
-    run = observations.timing.run[postures.view]  # a motion of one eye, not of both
-    time_s = observations.timing.time_s[postures.view]
-    return stencil(time_s, np.where(run > 0, 2 * run - postures.eye, 0))
-
-
-def _read_motion(
-    observations: Observations | PoseObservations, postures: Postures, around: Stencil
-) -> ReadMotion:
-    """Return the motion of the readings of each posture, or of the measured poses of its eye."""
-    assert observations.timing is not None
-    poses = observations.T_base_eye
-    return read_motion(
-        observations.timing,
-        observations.eye_angles if poses is None else poses,
-        view=postures.view,
-        eye=postures.eye,
-        columns=postures.columns,
-        around=around,
+def _readings(
+    observations: Observations | PoseObservations, postures: Postures, level: tuple[str, ...]
+) -> Readings:
+    """Return the readings of the postures, with their motion where the eyes moved."""
+    timing, poses = observations.timing, observations.T_base_eye
+    if timing is None:
+        return Readings(postures=postures, level=level)
+    run = timing.run[postures.view]  # a motion of one eye, not of both
+    around = stencil(timing.time_s[postures.view], np.where(run > 0, 2 * run - postures.eye, 0))
+    read = observations.eye_angles if poses is None else poses
+    motion, seldom = read_motion(timing, read, postures, around)
+    return Readings(
+        postures=postures, level=level, around=around, read_motion=motion, seldom_seen=seldom
     )
 
 

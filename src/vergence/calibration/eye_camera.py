@@ -72,8 +72,7 @@ def refine_eye_camera(
     """Find where a camera of known intrinsics sits in its eye, from N views of a board at rest.
 
     Args:
-        eye: (N, r) readings [rad], or (N, 4, 4) eye poses T_base_eye. Poses that are exactly those
-            of a pan and a tilt are taken as such.
+        eye: (N, r) readings [rad], or (N, 4, 4) measured eye poses T_base_eye.
         pixels: (N, K, 2) corners; NaN where one was not seen.
         points: (K, 3) corners in frame target [m].
         camera: intrinsics.
@@ -84,8 +83,8 @@ def refine_eye_camera(
             `geometry.parameter_names.intrinsics_names`, as their prior; None: they are taken as
             exact.
         pixel_std_px: noise of one coordinate of a corner; None: estimated.
-        joint_std: noise of the readings, [rad] or, for poses, ([rad], [m]), of which those of a pan
-            and a tilt use the first; None: estimated; 0: the readings are exact.
+        joint_std: noise of the readings, [rad] or, for poses, ([rad], [m]); None: estimated; 0:
+            the readings are exact.
         outlier: standard deviations beyond which a corner or a reading loses weight.
 
     Raises:
@@ -101,14 +100,12 @@ def refine_eye_camera(
     check_noise(joint_std, pixel_std_px=pixel_std_px, outlier=outlier)
     if start is not None:
         start = _checked_start(start)
-    angles = eye if eye.ndim == 2 else _readings_of(eye, kinematics)
+    angles = eye if eye.ndim == 2 else None
     if angles is not None and isinstance(joint_std, tuple):
-        if eye.ndim == 2:
-            raise VergenceError(
-                f"joint_std of joint readings is one number [rad], found {joint_std}; two, of "
-                "rotation [rad] and translation [m], are for measured eye poses."
-            )
-        joint_std = joint_std[0]
+        raise VergenceError(
+            f"joint_std of joint readings is one number [rad], found {joint_std}; two, of "
+            "rotation [rad] and translation [m], are for measured eye poses."
+        )
     T_read = eye if angles is None else T_base_eye(kinematics, "left", angles)
     T_cam_target = board_poses(camera, pixels, points)
     if start is None:
@@ -185,16 +182,6 @@ def _intrinsics_prior(
         return [], []
     uncertain, among = [names[k] for k in free], covariance[np.ix_(free, free)]
     return uncertain, [ParametersPrior(names=tuple(uncertain), head=head, covariance=among)]
-
-
-def _readings_of(T: Array, kinematics: Kinematics) -> Array | None:
-    """Return the pan and tilt (N, 2) of eye poses (N, 4, 4), or None where these are more."""
-    pan = np.arctan2(T[:, 1, 0], T[:, 0, 0])
-    tilt = np.arctan2(-T[:, 2, 0], T[:, 2, 2])
-    angles = np.stack([pan, tilt], axis=-1)
-    if len(kinematics.readings) != 2:
-        return None
-    return angles if np.abs(T_base_eye(kinematics, "left", angles) - T).max() < 1e-9 else None
 
 
 def _check(eye: Array, pixels: Array, points: Array, kinematics: Kinematics) -> None:

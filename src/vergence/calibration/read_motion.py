@@ -6,11 +6,10 @@ are far apart a polynomial through them would bridge motions that only the readi
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from vergence.arrays import Array
+from vergence.calibration.residuals import Postures
 from vergence.data.timing import (
     TRAJECTORY_DEGREE,
     Stencil,
@@ -26,43 +25,30 @@ LEAST_SEEN = 0.5
 so that these determine the trajectory. An assumption: 2 and 5 of 30 rows are too few."""
 
 
-class ReadMotion(NamedTuple):
-    """The motion of B postures by their readings."""
-
-    coefficients: Array
-    """(B, n, TRAJECTORY_DEGREE) of the motion in time, from the reading's moment on."""
-    seldom_seen: np.ndarray
-    """(B,) of bool: the board is seen in too few rows to determine the trajectory."""
-
-
 def read_motion(
-    timing: Timing,
-    readings: Array,
-    *,
-    view: np.ndarray,
-    eye: np.ndarray,
-    columns: np.ndarray,
-    around: Stencil,
-) -> ReadMotion:
+    timing: Timing, readings: Array, postures: Postures, around: Stencil
+) -> tuple[Array, np.ndarray]:
     """Fit polynomials in time to the readings around B postures.
 
     Args:
         timing: of V views.
         readings: (V, r) [rad], or poses (V, 2, 4, 4) of both eyes; not finite: unknown.
-        view: (B,) of each posture.
-        eye: (B,) whose readings they are.
-        columns: (B, n) which of the readings they are; unused for poses.
+        postures: of which views and readings.
         around: the neighbours of each posture among the postures.
+
+    Returns:
+        Coefficients (B, n, TRAJECTORY_DEGREE) from the reading's moment on, and (B,) of bool where
+        the board is seen in too few rows to determine the trajectory.
     """
-    motion = np.zeros((len(view), columns.shape[1], TRAJECTORY_DEGREE))
+    view = postures.view
+    motion = np.zeros((*postures.reading.shape, TRAJECTORY_DEGREE))
     seldom = np.zeros(len(view), bool)
-    time_s = timing.time_s[view]
-    nearby_s = time_s[around.neighbours]
-    for e in np.unique(eye):
-        mine = np.flatnonzero(eye == e)
+    nearby_s = timing.time_s[view][around.neighbours]
+    for e in np.unique(postures.eye):
+        mine = np.flatnonzero(postures.eye == e)
         wanted = np.isin(np.arange(len(readings)), view[mine])
         poses = readings.ndim > 2
-        own = readings[:, e] if poses else readings[:, columns[mine[0]]]
+        own = readings[:, e] if poses else readings[:, postures.columns[mine[0]]]
         known = known_poses(own) if poses else np.isfinite(own).all(axis=1)
         run = np.where(known, timing.run, 0)  # unknown rows are no neighbours of known ones
         every = stencil(timing.time_s, run, wanted)
@@ -76,4 +62,4 @@ def read_motion(
             near &= run == run[view[b]]
             seen = np.isin(np.flatnonzero(near), view[mine]).sum()
             seldom[b] = seen < LEAST_SEEN * near.sum()
-    return ReadMotion(motion, seldom)
+    return motion, seldom

@@ -13,12 +13,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vergence.arrays import Array
-from vergence.calibration.read_motion import ReadMotion
 from vergence.data import timing
 from vergence.data.timing import Stencil
 from vergence.estimation.residual import Levels, Residual, Rows
@@ -47,6 +47,8 @@ CORNERS = "corners"
 """Noise level of one coordinate of a corner, in a typical image [px]."""
 TARGETS = "target poses"
 """Noise level of measured poses of a target, relative to their stated deviations."""
+TARGET_TURNS, TARGET_SHIFTS = "target rotations", "target translations"
+"""Noise levels [rad], [m] where no deviations are stated."""
 TRUSTED_READINGS = 2.0
 """Noise of readings, as a multiple of how well one image determines the joints, up to which the
 readings give the eyes' trajectory in time. At it they hold the latent angles to a fifth, and
@@ -236,7 +238,7 @@ class TargetPoses(Residual):
     into independent ones of unit variance."""
     seen: NDArray[np.bool_]
     """(M, 6): false for poses that are left out."""
-    level: str = TARGETS
+    level: str | tuple[str, ...] = TARGETS
     element: Index = field(init=False)
 
     def __post_init__(self) -> None:
@@ -344,8 +346,10 @@ class Readings(Residual):
     level: tuple[str, ...]
     around: Stencil | None = None
     """The neighbours of each posture in time; None: the eyes stood still."""
-    read_motion: ReadMotion | None = None
-    """Motion by all readings of a recording; None: the eyes stood still."""
+    read_motion: Array | None = None
+    """(B, n, TRAJECTORY_DEGREE) of the motion by all readings; None: the eyes stood still."""
+    seldom_seen: Any = False
+    """(B,) of bool: where the board is seen in too few rows to determine the motion."""
     coefficients: Array | None = None
     """(B, n, TRAJECTORY_DEGREE) of the motion in time, None: at rest."""
     trusted: frozenset[str] = frozenset()
@@ -387,11 +391,10 @@ class Readings(Residual):
         else:
             poses = boxplus(self.postures.T_base_eye_read, x.latent.value)
             latent = timing.pose_coefficients(self.around, poses)
-        reading, seldom_seen = self.read_motion
         # Seen from the reading's moment time runs the other way: odd powers keep their sign.
-        reading = reading * -((-1.0) ** np.arange(1, timing.TRAJECTORY_DEGREE + 1))
+        reading = self.read_motion * -((-1.0) ** np.arange(1, timing.TRAJECTORY_DEGREE + 1))
         trusted = np.array([name in self.trusted for name in self.level])
-        chosen = np.where(trusted[:, None] | seldom_seen[:, None, None], reading, latent)
+        chosen = np.where(trusted[:, None] | self.seldom_seen[:, None, None], reading, latent)
         return replace(self, coefficients=chosen)
 
     def trust(self, levels: Levels, determined: Levels) -> Readings:

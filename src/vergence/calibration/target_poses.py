@@ -7,16 +7,14 @@ camera, T_rbase_lbase, the errors of the joints, the target's places, and the le
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from vergence.arrays import Array, single_blas_thread
 from vergence.calibration.bundle_adjustment import (
-    BundleEstimate,
     NoiseModel,
     bundle_adjust,
     check_noise,
@@ -26,6 +24,7 @@ from vergence.calibration.bundle_start import PoseObservations
 from vergence.calibration.hand_eye import robust_park_martin
 from vergence.calibration.observations import base_by_boards, mean_placed, most_seen
 from vergence.calibration.plausibility import implausible_geometry
+from vergence.calibration.residuals import TARGET_SHIFTS, TARGET_TURNS
 from vergence.errors import VergenceError, counted
 from vergence.findings import Finding, by_severity
 from vergence.geometry.camera import pinhole
@@ -48,10 +47,6 @@ _STUCK = 0.1
 and this small only where the measurement does not follow."""
 _AT_REST_RAD = 1e-6
 """Turn of an eye at rest [rad]: rounding of stored numbers."""
-_UNIT_RAD = 1e-3
-"""Unit of rotation in which errors of poses are counted where no covariance is given."""
-_LEVERS_M = 1e-2, 1e1
-"""Between these the ratio of the noise of translation to that of rotation [m/rad] is sought."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,88 +129,31 @@ def adjust_target_poses(
     _check_not_stuck(T_cam_target, read, eyes)
     if start is None:
         start = _start(T_cam_target, read, placement, eyes, kinematics)
-    kept = {
-        f"{name}.{each}"
-        for name, mounted in start.cameras.items()
-        for each in intrinsics_names(mounted.intrinsics)
+    fixed = {
+        *fixed,
+        *fixed_by_default(start, timed=False),
+        *(
+            f"{name}.{each}"
+            for name, mounted in start.cameras.items()
+            for each in intrinsics_names(mounted.intrinsics)
+        ),
     }
-
-    def adjust(whitening: Mapping[str, Array], factor: float | None = None) -> BundleEstimate:
-        return bundle_adjust(
-            start,
-            PoseObservations(
-                T_cam_target=T_cam_target,
-                whitening=whitening,
-                placement=placement,
-                eye_angles=eye,
-                T_base_eye=eye if measured_eyes else None,
-            ),
-            fixed={*kept, *fixed_by_default(start, timed=False), *fixed},
-            noise=NoiseModel(factor, joint_std),
-        )
-
+    whitening = None
+    if covariance is not None:
+        whitening = {name: _whitening(covariance, name, T) for name, T in T_cam_target.items()}
+    found = bundle_adjust(
+        start,
+        PoseObservations(T_cam_target, whitening, placement, eye, eye if measured_eyes else None),
+        fixed=fixed,
+        noise=NoiseModel(noise_factor, joint_std),
+    )
+    pose_std, factor = None, found.pixel_std_px
     if covariance is None:
-        return _with_noise(adjust, T_cam_target)
-    stated = {
-        name: np.broadcast_to(_whitening(covariance, name, T), (views, 6, 6))
-        for name, T in T_cam_target.items()
+        pose_std, factor = (found.levels[TARGET_TURNS], found.levels[TARGET_SHIFTS]), 1.0
+    errors = {
+        name: each if pose_std is None else each / np.repeat(pose_std, 3)
+        for name, each in found.residuals_px.items()
     }
-    found = adjust(stated, noise_factor)
-    return _result(found, None, found.pixel_std_px)
-
-
-def _with_noise(
-    adjust: Callable[[Mapping[str, Array]], BundleEstimate], T_cam_target: Mapping[str, Array]
-) -> TargetPoseEstimate:
-    """Return the estimate with the noise of poses that is likeliest, by a function of whitenings.
-
-    Its level is estimated by each adjustment; sought here is its ratio of translation to rotation.
-    """
-    translations = sum(3 * int(np.isfinite(T[:, 0, 0]).sum()) for T in T_cam_target.values())
-    tried: dict[float, BundleEstimate] = {}
-
-    def cost(log_lever: float) -> float:
-        """Return -2 log likelihood; a translation's density is per metre, whatever its unit."""
-        std = _UNIT_RAD * np.exp(log_lever * np.array([0, 0, 0, 1, 1, 1]))
-        each = np.diag(1 / std)
-        tried[log_lever] = adjust(
-            {name: np.broadcast_to(each, (len(T), 6, 6)) for name, T in T_cam_target.items()}
-        )
-        return tried[log_lever].cost + 2 * translations * log_lever
-
-    best = minimize_scalar(
-        cost, bounds=np.log(_LEVERS_M), method="bounded", options={"xatol": 0.05}
-    )
-    found = tried[best.x]
-    rotation_std = _UNIT_RAD * found.pixel_std_px
-    return _result(found, (rotation_std, rotation_std * float(np.exp(best.x))), 1.0)
-
-
-def _whitening(covariance: Mapping[str, Array], name: str, T_cam_target: Array) -> Array:
-    """Return (V, 6, 6) or (6, 6) that whiten the errors of poses by one camera."""
-    if name not in covariance:
-        raise VergenceError(f"covariance has none for the poses of {name}.")
-    stated = np.asarray(covariance[name], dtype=float)
-    if stated.shape not in ((6, 6), (len(T_cam_target), 6, 6)):
-        raise VergenceError(
-            f"The covariance of poses of {name} is (6, 6) or ({len(T_cam_target)}, 6, 6), found "
-            f"{stated.shape}."
-        )
-    if stated.ndim == 3:
-        stated = np.where(known_poses(T_cam_target)[:, None, None], stated, np.eye(6))
-    with suppress(np.linalg.LinAlgError):
-        if np.isfinite(stated).all():
-            return np.asarray(np.linalg.inv(np.linalg.cholesky(stated)), dtype=float)
-    raise VergenceError(
-        "The covariance of a measured pose is symmetric and positive definite, rotation [rad] "
-        "first and then translation [m]; found one that is not."
-    )
-
-
-def _result(
-    found: BundleEstimate, pose_std: tuple[float, float] | None, factor: float
-) -> TargetPoseEstimate:
-    geometry = implausible_geometry(found.head)
     return TargetPoseEstimate(
         head=found.head,
         parameters=found.parameters,
@@ -225,11 +163,26 @@ def _result(
         joint_std=found.joint_std,
         T_lbase_target=found.T_lbase_target,
         T_base_eye=found.T_base_eye,
-        errors={
-            name: each / (found.pixel_std_px if pose_std else 1.0)
-            for name, each in found.residuals_px.items()
-        },
-        findings=by_severity((*found.findings, *geometry)),
+        errors=errors,
+        findings=by_severity((*found.findings, *implausible_geometry(found.head))),
+    )
+
+
+def _whitening(covariance: Mapping[str, Array], name: str, T_cam_target: Array) -> Array:
+    """Return (V, 6, 6) that whiten the errors of poses by one camera."""
+    V = len(T_cam_target)
+    stated = np.asarray(covariance.get(name, np.nan), dtype=float)
+    if stated.shape not in ((6, 6), (V, 6, 6)):
+        raise VergenceError(
+            f"The covariance of poses of {name} is (6, 6) or ({V}, 6, 6), found {stated.shape}."
+        )
+    stated = np.where(known_poses(T_cam_target)[:, None, None], stated, np.eye(6))
+    with suppress(np.linalg.LinAlgError):
+        if np.isfinite(stated).all():
+            return np.asarray(np.linalg.inv(np.linalg.cholesky(stated)), dtype=float)
+    raise VergenceError(
+        "The covariance of a measured pose is symmetric and positive definite, rotation [rad] "
+        "first and then translation [m]; found one that is not."
     )
 
 

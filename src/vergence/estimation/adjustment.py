@@ -17,7 +17,6 @@ from vergence.estimation.noise import (
     determined_by_others,
     estimate_noise,
     redundancy,
-    restricted_cost,
     row_noise_scales,
 )
 from vergence.estimation.observability import Observability, observe
@@ -26,6 +25,7 @@ from vergence.estimation.residual import (
     Levels,
     Residual,
     Residuals,
+    coordinate_levels,
     inlier_weights,
     relative_sizes,
 )
@@ -67,12 +67,6 @@ class Adjustment:
     redundancy: Mapping[str, float]
     """By level: residuals in excess of what the fit takes, at a generous noise."""
     converged: bool
-    cost: float
-    """-2 log of the restricted likelihood, up to a constant."""
-
-    def weights(self, residual: Residual) -> Array:
-        """Return the inlier weights of one of the residuals."""
-        return self.linear.weights[list(self.residuals).index(residual)]
 
 
 def adjust(
@@ -147,7 +141,6 @@ def adjust(
         assumed=dict(zip([each.name for each in levels], assumed.tolist(), strict=True)),
         redundancy=dict(zip([each.name for each in levels], left.tolist(), strict=True)),
         converged=converged and agreed,
-        cost=restricted_cost(linear.onto(seen.basis), noise),
     )
 
 
@@ -216,15 +209,15 @@ def _weighed(
 
 def _median_level(residuals: Residuals, x: Variables, name: str) -> float:
     """Return a level by the median size of errors, which half of the data cannot spoil."""
-    sizes = [
-        relative_sizes(residual, residual.error(x), {})[
-            np.s_[:] if residual.seen is None else residual.seen
-        ].ravel()
-        for residual in residuals
-        if residual.level == name
-    ]
-    together = next(residual.together for residual in residuals if residual.level == name)
-    # The median of |e| is that of a chi distribution.
+    sizes, together = [], 1
+    for residual in residuals:
+        errors = residual.error(x)
+        mine = np.array(coordinate_levels(residual, errors.shape[1])) == name
+        if mine.any():
+            seen = True if residual.seen is None else residual.seen
+            together = residual.together
+            kept = np.broadcast_to(seen & mine[::together], (len(errors), len(mine[::together])))
+            sizes.append(relative_sizes(residual, errors, {})[kept])
     return float(np.nanmedian(np.concatenate(sizes))) / _CHI_MEDIAN[together]
 
 

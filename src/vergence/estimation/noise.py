@@ -103,17 +103,13 @@ def estimate_noise(
     return NoiseEstimate(estimated, variance, now.redundancy)
 
 
-def restricted_cost(linear: Linear, levels: Levels) -> float:
-    """Return -2 log of the restricted likelihood, up to a constant."""
-    return _at_levels(linear, levels).cost
-
-
 def redundancy(linear: Linear, levels: Levels) -> Array:
     """Return (Q,) how many residuals of each level such noise would leave over.
 
     At a generous noise, a level with less than one cannot be estimated.
     """
-    return _at_levels(linear, levels).redundancy
+    names = [name for name in linear.names if name in levels]
+    return _evaluate(linear, names, 2 * np.log([levels[name] for name in names])).redundancy
 
 
 def determined_by_others(
@@ -175,11 +171,6 @@ class _Evaluation:
     score: Array
     information: Array
     redundancy: Array
-
-
-def _at_levels(linear: Linear, levels: Levels) -> _Evaluation:
-    names = [name for name in linear.names if name in levels]
-    return _evaluate(linear, names, 2 * np.log([levels[name] for name in names]))
 
 
 def _evaluate(linear: Linear, names: Sequence[str], s: Array) -> _Evaluation:
