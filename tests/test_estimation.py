@@ -88,7 +88,7 @@ def dense(residuals: list[Residual], start: Variables) -> tuple[Array, Array]:
     J[np.arange(B * k), 2 + np.arange(B * k) // k] = 1 / 0.1
     J[B * k + np.arange(B), 2 + np.arange(B)] = 1 / 0.3
     y = np.concatenate([sums.values.ravel() / 0.1, numbers.values.ravel() / 0.3])
-    C = np.linalg.inv(J.T @ J)
+    C: Array = np.asarray(np.linalg.inv(J.T @ J), float)
     return C @ J.T @ y, C[:2, :2]
 
 
@@ -119,7 +119,9 @@ def test_a_single_level_that_is_concentrated_out_is_the_root_mean_square_error()
 
 def test_outliers_do_little_to_a_robust_fit():
     residuals, start = simulated(np.random.default_rng(3))
-    residuals[0].values[::7, 0] += 50
+    sums = residuals[0]
+    assert isinstance(sums, Sums)
+    sums.values[::7, 0] += 50
     levels = {"sums": 0.1, "numbers": 0.3}
     plain = least_squares(residuals, start, levels=levels)
     robust = least_squares(residuals, start, levels=levels, outlier=4.0)
@@ -143,8 +145,9 @@ def test_noise_levels_of_greatest_restricted_likelihood_are_unbiased():
 
 def test_a_direction_that_nothing_measures_keeps_its_start():
     residuals, start = simulated(np.random.default_rng(6))
-    A = residuals[0].A
-    A[..., 1] = A[..., 0]  # only the sum of both is measured
+    sums = residuals[0]
+    assert isinstance(sums, Sums)
+    sums.A[..., 1] = sums.A[..., 0]  # only the sum of both is measured
     found = adjust(residuals, start, LEVELS)
     assert len(found.observability.fixed) == 1
     s = found.x["s"]

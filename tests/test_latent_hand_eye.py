@@ -121,19 +121,6 @@ def test_both_levels_of_noise_are_found_without_a_warning(trials):
     assert joint == pytest.approx(np.radians(0.1), rel=0.1)
 
 
-def test_without_joint_noise_the_result_is_that_of_exact_joints():
-    recordings = [record(k, pixel_std_px=0.1) for k in range(4)]
-    latent = [size(solve(r).T_eye_cam, r.T_eye_cam) for r in recordings]
-    exact = [size(solve(r, joint_std=0).T_eye_cam, r.T_eye_cam) for r in recordings]
-    assert (np.mean(latent, axis=0) < 1.05 * np.mean(exact, axis=0)).all()
-
-
-def test_given_noise_is_used():
-    found = solve(record(1, joint_std=0.002, pixel_std_px=0.1), joint_std=0.004, pixel_std_px=0.3)
-    assert found.joint_std == pytest.approx((0.004,))
-    assert found.pixel_std_px == pytest.approx(0.3)
-
-
 def test_wild_corners_and_a_wild_reading_do_little_harm():
     recording = record(2, joint_std=0.001, pixel_std_px=0.1)
     rng = np.random.default_rng(2)
@@ -146,15 +133,6 @@ def test_wild_corners_and_a_wild_reading_do_little_harm():
     assert any("corners lie beyond 4 standard deviations" in text for text in texts(found.findings))
 
 
-def test_corners_may_be_missing():
-    recording = record(3)
-    recording.pixels[0] = np.nan
-    recording.pixels[1:, ::2] = np.nan
-    found = solve(recording)
-    np.testing.assert_allclose(found.T_eye_cam, recording.T_eye_cam, atol=1e-9)
-    np.testing.assert_array_equal(np.isnan(found.residuals_px), np.isnan(recording.pixels))
-
-
 @pytest.mark.parametrize("flips", [1, 6])
 def test_boards_numbered_from_the_wrong_end_are_left_out_and_named(flips: int):
     recording = record(40, joint_std=0.001, pixel_std_px=0.1)
@@ -162,7 +140,7 @@ def test_boards_numbered_from_the_wrong_end_are_left_out_and_named(flips: int):
     found = solve(recording)
     assert_within_stated(found, recording)
     numbers = ", ".join(map(str, range(flips)))
-    assert texts(found.findings)[0].startswith(f"Views {numbers} were left out")
+    assert texts(found.findings)[0].startswith(f"Views {numbers} of camera were left out")
     assert len(texts(found.findings)) == 1
 
 
@@ -234,31 +212,12 @@ def test_an_unobservable_direction_stays_at_its_start():
     assert abs(off[0]) < 0.008
 
 
-def test_a_motion_that_is_small_but_seen_leaves_a_large_stated_error():
-    recording = record(7, joint_std=0.001, pixel_std_px=0.1, reach=(0.25, 0.005))
-    found = solve(recording)
-    assert stated_probability(found, recording) < 0.99
-
-
-def test_pan_and_tilt_that_move_together_are_named():
-    together = record(8, joint_std=0.002, pixel_std_px=0.1, views=12, together=True)
-    text = " ".join(texts(solve(together, start=together.T_eye_cam).findings))
-    assert "observable" in text
-
-
 def test_two_views_are_too_few_and_said_so():
     recording = record(9, joint_std=0.002, pixel_std_px=0.1, views=2)
     text = " ".join(texts(solve(recording, start=recording.T_eye_cam).findings))
     assert "not observable" in text
     assert "noise of the joint readings cannot be estimated" in text
     assert "0.002 rad was assumed" in text
-
-
-def test_general_poses_about_one_axis_are_named():
-    recording = record_poses(10, (0.0, 0.0), 0.0, axes=(1, 0, 0))
-    found = solve(recording, start=recording.T_eye_cam)
-    text = " ".join(texts(found.findings))
-    assert "rotation about x and translation along x: not observable" in text
 
 
 @pytest.mark.parametrize(
@@ -298,13 +257,6 @@ def test_arguments_that_cannot_be_are_refused(options: dict, message: str):
     given = {"eye": recording.readings, "pixels": recording.pixels, "points": POINTS} | options
     with pytest.raises(VergenceError, match=message):
         refine_eye_camera(camera=LENS, **given)
-
-
-def test_lists_serve_as_arrays_do():
-    recording = record(11, views=6)
-    lists = (each.tolist() for each in (recording.readings, recording.pixels, POINTS))
-    found = refine_eye_camera(*lists, camera=LENS)  # pyright: ignore
-    np.testing.assert_allclose(found.T_eye_cam, recording.T_eye_cam, atol=1e-6)
 
 
 def test_readings_of_three_kinds_keep_their_noise_where_intrinsics_are_uncertain():

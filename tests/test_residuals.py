@@ -62,7 +62,7 @@ def assert_derivatives(residual: Residual, x: Variables) -> None:
     rows, (expected_shared, expected_latent) = residual.rows(x), slopes(residual, x)
     dense = np.zeros_like(expected_shared)
     for m, columns in enumerate(rows.columns):
-        np.add.at(dense[m], np.s_[:, columns], rows.by_shared[m])
+        np.add.at(dense[m].T, columns, rows.by_shared[m].T)
     scale = np.abs(expected_shared).max(axis=(0, 1)) + 1.0
     np.testing.assert_allclose(dense / scale, expected_shared / scale, atol=2e-6)
     if rows.by_latent is not None:

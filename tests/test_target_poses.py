@@ -81,15 +81,6 @@ def test_exact_poses_give_the_head_without_error(kind: str):
     assert np.isnan(found.errors["left_wide"][3]).all()
 
 
-def test_eyes_may_see_a_target_at_rest_one_after_the_other():
-    rng = np.random.default_rng(3)
-    truth = head_of("pan, tilt", rng)
-    poses, readings = measured(truth, rng)
-    poses["left_wide"][::2] = np.nan
-    poses["right_wide"][1::2] = np.nan
-    assert np.abs(off(estimate(truth, poses, readings, NOISE), truth)).max() < 1e-5
-
-
 def test_a_camera_of_the_start_that_measured_nothing_keeps_its_place():
     rng = np.random.default_rng(2)
     head = head_of("pan, tilt", rng)
@@ -103,19 +94,6 @@ def test_a_camera_of_the_start_that_measured_nothing_keeps_its_place():
     )
     assert np.abs(off(found, head)).max() < 1e-5
     assert any("right_wide" in warning for warning in texts(found.findings))
-
-
-def test_the_joints_are_those_of_the_start():
-    rng = np.random.default_rng(3)
-    head = head_of("shared tilt, pan", rng)
-    poses, readings = measured(head, rng)
-    covariance = dict.fromkeys(poses, NOISE)
-    given = as_designed(head.kinematics)
-    for kinematics in (None, given):
-        found = adjust_target_poses(
-            poses, readings, eyes=EYES_OF, covariance=covariance, start=head, kinematics=kinematics
-        )
-        assert np.abs(off(found, head)).max() < 1e-5
 
 
 def test_a_start_of_another_head_is_refused():
@@ -141,17 +119,6 @@ def test_poses_that_stay_the_same_while_the_eye_turns_are_refused(noise: float):
     for start, placement in ((head, None), (head, np.arange(V)), (None, None)):
         with pytest.raises(VergenceError, match=r"right_wide turn by .* measurement stuck"):
             adjust_target_poses(poses, readings, eyes=EYES_OF, start=start, placement=placement)
-
-
-def test_an_eye_may_rest_before_a_target():
-    rng = np.random.default_rng(3)
-    head = head_of("pan, tilt", rng)
-    poses, readings = measured(head, rng)
-    poses["right_wide"] = np.tile(poses["right_wide"][:1], (len(readings), 1, 1))
-    readings[:, 2:] = readings[0, 2:]
-    covariance = dict.fromkeys(poses, NOISE)
-    found = adjust_target_poses(poses, readings, eyes=EYES_OF, covariance=covariance, start=head)
-    assert np.abs(off(found, head)).max() < 1e-5
 
 
 def test_noisy_poses_give_the_stated_error():

@@ -97,49 +97,36 @@ class BundleFindings:
         """Whether poses of the eyes were measured instead of angles."""
         return self.problem.readings.postures.T_base_eye_read is not None
 
-    def name_of_eye(self, eye: int) -> str:
-        """Return how a sentence calls an eye."""
-        alone = len(self.problem.measured.detections.cameras) == 1
-        return "the eye" if alone else f"the {EYES[eye]} eye"
-
-    def of_camera(self, name: str) -> str:
-        """Return whose images a sentence is about."""
-        alone = len(self.problem.measured.detections.cameras) == 1
-        return "" if alone else f" of {name}"
-
 
 def _doubtful(of: BundleFindings) -> Iterator[Finding]:
     """Report an estimate that must not be used."""
     if not of.found.converged:
         yield void("not-converged", _UNCONVERGED)
-    for eye in np.unique(of.eyes).tolist():
-        yield from _doubtful_senses(of, eye)
+    if not of.poses_read:
+        yield from _doubtful_senses(of)
 
 
-def _doubtful_senses(of: BundleFindings, eye: int) -> Iterator[Finding]:
-    """Name joints whose motion is so small that its sense is uncertain."""
-    rows, board = _seen_boards(of, eye)
-    if of.poses_read or np.bincount(board).max() < 2:
-        return
-    kinematics, postures = of.found.x["head"].kinematics, of.problem.readings.postures
-    mixing = kinematics.chains[EYES[eye]].mixing
-    detections = of.problem.measured.detections
-    std = np.zeros(len(kinematics.readings))
-    levels = [of.found.levels[name] for name in of.problem.readings.level]
-    std[postures.columns[detections.posture[rows[0]]]] = levels
-    angles = (postures.head_readings(of.found.x) @ mixing.T)[detections.posture[rows]]
-    counts = np.bincount(board)
-    means = np.stack([np.bincount(board, column) / counts for column in angles.T], axis=-1)
-    length = np.linalg.norm(angles - means[board], axis=0)
-    noise = np.sqrt(mixing**2 @ std**2)
-    for joint, size, level in zip(kinematics.eyes[EYES[eye]], length, noise, strict=True):
-        if size < SENSE * level:
-            whose = f"{joint.name} of {of.name_of_eye(eye)}"
-            sentence = (
-                f"The noise of the readings of {whose} is {level:.2g} rad, and even the sense of "
-                f"the motion is uncertain: let it turn {ADVISED}."
-            )
-            yield void("doubtful-sense", sentence, whose)
+def _doubtful_senses(of: BundleFindings) -> Iterator[Finding]:
+    """Name readings whose motion before boards at rest is so small that its sense is uncertain."""
+    detections, postures = of.problem.measured.detections, of.problem.readings.postures
+    posture, board = np.unique([detections.posture, detections.board], axis=1)
+    eye = postures.eye[posture]
+    _, at_rest = np.unique([eye, board], axis=1, return_inverse=True)
+    values, count = of.found.x.latent.value[posture], np.bincount(at_rest.ravel())
+    mean = [np.bincount(at_rest.ravel(), column) / count for column in values.T]
+    away = values - np.transpose(mean)[at_rest.ravel()]
+    names = of.found.x["head"].kinematics.readings
+    for e in np.unique(eye[count[at_rest.ravel()] > 1]):
+        size = np.linalg.norm(away[eye == e], axis=0)
+        columns = postures.columns[postures.eye == e][0]
+        for k, level in enumerate(of.problem.readings.level):
+            if size[k] < SENSE * of.found.levels[level]:
+                name = names[columns[k]]
+                sentence = (
+                    f"The noise of {name} is {of.found.levels[level]:.2g} rad, and even the sense "
+                    f"of the motion is uncertain: let it turn {ADVISED}."
+                )
+                yield void("doubtful-sense", sentence, name)
 
 
 def _left_out(
@@ -163,7 +150,7 @@ def _left_out(
     for c, name in enumerate(detections.cameras):
         lost = detections.views[of.problem.contradicting & (detections.camera == c)]
         if len(lost):
-            where = f"{', '.join(map(str, np.sort(lost)))}{of.of_camera(name)}"
+            where = f"{', '.join(map(str, np.sort(lost)))} of {name}"
             sentence = (
                 f"Views {where} were left out: they show the board turned against its other "
                 "views, as when it is numbered from the wrong end, or one of few corners is wrong."
@@ -225,15 +212,6 @@ def _missing_motion(of: BundleFindings) -> str:
         f"turn every joint of each eye {ADVISED}, before boards at rest at several distances and "
         "slants"
     )
-
-
-def _seen_boards(of: BundleFindings, eye: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return a detection of each board by an eye in each view, and which board it shows."""
-    detections = of.problem.measured.detections
-    mine = np.flatnonzero(of.eyes == eye)
-    pairs = np.stack([detections.posture[mine], detections.board[mine]])
-    (_, board), first = np.unique(pairs, axis=1, return_index=True)
-    return mine[first], np.unique(board, return_inverse=True)[1]
 
 
 def _noise(of: BundleFindings) -> Iterator[Finding]:
@@ -365,7 +343,7 @@ def _systematic(of: BundleFindings) -> Iterator[Finding]:
     size, noise = of.systematic_px[worst], of.found.levels[of.problem.measured.level]
     if size > noise:
         sentence = (
-            f"All images{of.of_camera(worst)} have a systematic error of {size:.2g} px, more than "
+            f"All images of {worst} have a systematic error of {size:.2g} px, more than "
             f"the noise of single corners ({noise:.2g} px): the lens departs from its model, which "
             "a richer one may follow (--lens), or the board is not flat; look at the residuals "
             "over the image."

@@ -49,9 +49,6 @@ ONE_POSTURE_RAD = 0.02
 """Turn of an eye from the mean of its straight gaze up to which views count as one pose of the
 cameras to each other. In simulations none of 20 estimates failed where readings were within 0.03
 rad, and two of 20 where they were within 0.05."""
-STRAIGHT_M = 1e-3
-"""Measured poses that look straight but lie farther than this from their median are of eyes that
-move: noise of poses is a fraction of a millimetre."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,6 +177,7 @@ def _between_the_eyes(
     both = (seen_corners(corners_l) & seen_corners(corners_r)).sum(axis=1) >= LEAST_CORNERS
     T_l, T_r = np.moveaxis(observations.eye_poses(), 1, 0)
     straight = both & known_poses(T_l) & known_poses(T_r)
+    straight &= observations.T_base_eye is None  # measured eyes may shift as well
     for T in (T_l, T_r):
         straight[straight] &= angle(T[straight, :3, :3]) < STRAIGHT_RAD
     if straight.any():
@@ -188,8 +186,6 @@ def _between_the_eyes(
             at_one[straight] &= angle((inverse(mean_pose(T)) @ T)[:, :3, :3]) < ONE_POSTURE_RAD
         # Where most of them are not, each view's own readings tell more.
         straight = at_one & (2 * at_one.sum() > straight.sum())
-    if observations.T_base_eye is not None and straight.any():
-        straight &= _stand_still(T_l[straight]) and _stand_still(T_r[straight])
     if straight.any():
         T_rcam_lcam, rms = calibrate_pair(
             corners_l[straight],
@@ -220,9 +216,3 @@ def _between_the_eyes(
             "not all on one line; hold it where both eyes see it."
         )
     return between, None, 0
-
-
-def _stand_still(T: Array) -> bool:
-    """Return whether eyes with poses (N, 4, 4) are all at one place."""
-    t = T[:, :3, 3]
-    return bool((np.linalg.norm(t - np.median(t, axis=0), axis=1) < STRAIGHT_M).all())

@@ -10,14 +10,14 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.lens_statistics import jackknife_covariance, noise_covariance
-from vergence.calibration.lenses import LensModel, fit_model, free_intrinsics, without_poses
+from vergence.calibration.lenses import LensFit, LensModel, fit_model, free_intrinsics
 from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
 from vergence.geometry.camera import Camera, displaced_by_distortion
 from vergence.geometry.head_accuracy import LensAccuracy
 from vergence.geometry.parameter_names import PINHOLE
-from vergence.vision.board_pose import board_errors, determines_pose, seen_corners
+from vergence.vision.board_pose import determines_pose, seen_corners
 
 LEAST_VIEWS = 3
 """Fewest views of a flat board: each gives two equations for up to five intrinsics (Zhang)."""
@@ -95,48 +95,44 @@ def calibrate_camera(
         VergenceError: fewer than three views with four corners or more, or boards that do not
             determine the focal length.
     """
-    usable = seen_corners(corners).sum(axis=1) >= 4
-    if usable.sum() < LEAST_VIEWS:
+    seen = seen_corners(corners)
+    if (found := int((seen.sum(axis=1) >= 4).sum())) < LEAST_VIEWS:
         raise VergenceError(
-            f"Intrinsics need at least {LEAST_VIEWS} views of the board, found {usable.sum()}; "
+            f"Intrinsics need at least {LEAST_VIEWS} views of the board, found {found}; "
             "show the whole board to the camera at different angles."
         )
+    corners = corners[determines_pose(points, seen)]
+    if len(corners) < LEAST_VIEWS:
+        raise VergenceError(_NOT_OBSERVABLE)
     try:
-        return _fitted(corners[usable], points, size, lens_model)
+        intrinsics = _with_accuracy(fit_model(lens_model, None, corners, points, size), lens_model)
     except (cv2.error, ValueError, np.linalg.LinAlgError):
         # The steps of the fit lead to an impossible lens.
         raise VergenceError(_NOT_OBSERVABLE) from None
-
-
-def _fitted(
-    corners: Array, points: Array, size: tuple[int, int], lens_model: LensModel
-) -> Intrinsics:
-    corners = corners[determines_pose(points, seen_corners(corners))]
-    if len(corners) < LEAST_VIEWS:
+    focal = intrinsics.camera.matrix[[0, 1], [0, 1]]
+    if not (np.array(intrinsics.focal_std_px) < USELESS * focal).all():
         raise VergenceError(_NOT_OBSERVABLE)
-    fit = fit_model(lens_model, None, corners, points, size)
-    rms = np.sqrt(fit.sum_squares / np.count_nonzero(seen_corners(corners)))
-    return _checked(fit.camera, fit.T_cam_target, float(rms), corners, points, lens_model)
+    return intrinsics
 
 
-def _checked(
-    camera: Camera, poses: Array, rms: float, corners: Array, points: Array, model: LensModel
-) -> Intrinsics:
-    errors, by_pose, by_lens = board_errors(camera, poses, corners, points)
-    free, n = free_intrinsics(model), len(PINHOLE)
-    redundancy = 2 * np.count_nonzero(seen_corners(corners)) - 6 * len(poses) - len(free)
-    variance = float((errors**2).sum()) / redundancy if redundancy > 0 else np.inf
-    rest = without_poses(by_pose, by_lens[..., free])
-    C, focal = noise_covariance(rest, variance), camera.matrix[[0, 1], [0, 1]]
-    fx_std, fy_std = np.sqrt(np.diag(C))[:2].tolist()
-    if not (np.array([fx_std, fy_std]) < USELESS * focal).all():
-        raise VergenceError(_NOT_OBSERVABLE)
-    shown = displaced_by_distortion(camera)[np.ix_(free[n:] - n, free[n:] - n)]
+def _with_accuracy(fit: LensFit, model: LensModel) -> Intrinsics:
+    """Compute the accuracy of a fit by the noise that is left, and by how views differ."""
+    free, n, count = free_intrinsics(model), len(PINHOLE), np.count_nonzero(fit.errors)
+    redundancy = count - 6 * len(fit.errors) - len(free)
+    variance = fit.sum_squares / redundancy if redundancy > 0 else np.inf
+    C, focal = noise_covariance(fit.rest, variance), fit.camera.matrix[[0, 1], [0, 1]]
+    shown = displaced_by_distortion(fit.camera)[np.ix_(free[n:] - n, free[n:] - n)]
     stated = []
-    for each in (C, jackknife_covariance(errors, rest)):
+    for each in (C, jackknife_covariance(fit.errors, fit.rest)):
         std, displaced = np.sqrt(np.diag(each)), (each[n:, n:] * shown).sum()
         stated.append(((std[:2] / focal).mean(), std[2:n].mean(), np.sqrt(max(displaced, 0.0))))
-    # Of few views the jackknife knows little; they err by as much as their corners at least.
+    # The jackknife of few views is too small; they err by as much as their corners at least.
     of_focal, centre_px, distortion_px = np.max(stated, axis=0).tolist()
-    accuracy = LensAccuracy(focal=of_focal, centre_px=centre_px, distortion_px=distortion_px)
-    return Intrinsics(camera, free, rms, len(corners), (fx_std, fy_std), accuracy)
+    return Intrinsics(
+        fit.camera,
+        free,
+        rms_px=float(np.sqrt(2 * fit.sum_squares / count)),
+        views=len(fit.errors),
+        focal_std_px=tuple(np.sqrt(np.diag(C))[:2].tolist()),
+        accuracy=LensAccuracy(focal=of_focal, centre_px=centre_px, distortion_px=distortion_px),
+    )

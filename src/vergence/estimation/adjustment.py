@@ -85,7 +85,9 @@ def adjust(
         VergenceError: there are more unknowns than data.
     """
     first, fixed, assumed, left = _first_levels(residuals, start, levels, outlier)
-    x, noise, seen, basis = start, first, None, start.scaled_basis()
+    x, noise, basis = start, first, start.scaled_basis()
+    seen: Observability | None = None
+    linear: Linear | None = None
     log_variance = np.zeros(len(levels))
     agreed, converged, restarted, releases, failures = False, False, False, 0, 0
     weighings = 0 if np.isfinite(outlier) else WEIGHINGS
@@ -125,6 +127,7 @@ def adjust(
         if failures == FAILURES:
             break
     assert seen is not None
+    assert linear is not None
     # Levels that are larger by their own uncertainty. For one that is well known the variance grows
     # by the factor 1 + Var(log sigma^2), which for nu degrees of freedom is nu / (nu - 2) to first
     # order: Student's t has that variance. For one that is indistinguishable from zero it grows by

@@ -178,5 +178,5 @@ def posterior(information: Array, vector: Array, covariance: Array) -> tuple[Arr
         np.eye(len(vector)) + covariance @ information,
         np.concatenate([covariance @ vector[:, None], covariance], axis=1),
     )
-    after = gain[:, 1:]
-    return gain[:, 0], (after + after.T) / 2
+    after: Array = gain[:, 1:].astype(float, copy=False)
+    return gain[:, 0].astype(float, copy=False), (after + after.T) / 2

@@ -37,8 +37,8 @@ class Residual:
     Subclasses implement `error` and `rows`, and override the attributes they need.
     """
 
-    level: str | tuple[str, ...] = UNIT
-    """Name of the noise level, or one name for each coordinate."""
+    level: Any = UNIT
+    """Name of the noise level (str), or one name for each coordinate (tuple)."""
     together: int = 1
     """Coordinates that are outliers together: 2 for points in an image."""
     element: Any = None
