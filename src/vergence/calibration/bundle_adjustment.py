@@ -64,8 +64,6 @@ class NoiseModel:
     joint_std: float | Sequence[float] | None = None
     """Of the readings [rad], one number or one of each kind (see `kinematics.reading_kinds`), or,
     for poses, ([rad], [m]); None: estimated; 0: the readings are exact."""
-    own_levels_from: float = OWN_LEVELS
-    """Eyes times views from which each kind of reading has a noise of its own."""
     outlier: float = OUTLIER
     """Standard deviations beyond which a corner or a reading loses weight."""
 
@@ -171,7 +169,7 @@ def bundle_adjust(
         fixed=fixed,
         points=points,
         T_cam_target=T_cam_target,
-        least_blocks=noise.own_levels_from if given is None else np.inf if len(given) == 1 else 0,
+        least_blocks=OWN_LEVELS if given is None else np.inf if len(given) == 1 else 0,
     )
     levels = _levels(problem, noise.pixel_std_px, given)
     residuals = (*problem.residuals, *priors)

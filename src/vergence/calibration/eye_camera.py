@@ -124,7 +124,7 @@ def refine_eye_camera(
         points=points,
         fixed=set(kept) - set(uncertain),
         T_cam_target={_NAME: T_cam_target},
-        noise=NoiseModel(pixel_std_px, joint_std, own_levels_from=np.inf, outlier=outlier),
+        noise=NoiseModel(pixel_std_px, joint_std, outlier),
         priors=priors,
     )
     findings = found.findings
