@@ -12,10 +12,8 @@ from vergence.gaze.foveation import (
     foveal_miss,
     gaze_angles,
     ideal_wide_pixel,
-    project_both,
-    wide_from_narrow,
 )
-from vergence.geometry.camera import pinhole
+from vergence.geometry.camera import pinhole, project
 from vergence.geometry.head import HeadCalibration, T_narrow_wide
 from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import EYES, Side
@@ -52,8 +50,16 @@ def test_equation_13_is_the_inverse_of_the_pose_of_the_wide_camera_in_the_narrow
     points = np.random.default_rng(seed).normal(size=(50, 3))
     for eye in EYES:
         T = T_narrow_wide(head(seed), eye)
-        expected = transform(inverse(T), points)
-        np.testing.assert_allclose(wide_from_narrow(T, points), expected, atol=1e-14)
+        R_fp, t_fp = T[:3, :3], T[:3, 3]
+        printed = (points - t_fp) @ R_fp  # rows: R_fp^T (y_f - t_fp)
+        np.testing.assert_allclose(transform(inverse(T), points), printed, atol=1e-14)
+
+
+def project_both(made: HeadCalibration, eye: Side, in_narrow: np.ndarray) -> list[np.ndarray]:
+    """Eqs. 14-17: project points in the narrow camera's frame into both cameras."""
+    in_wide = transform(inverse(T_narrow_wide(made, eye)), in_narrow)
+    points = {"narrow": in_narrow, "wide": in_wide}
+    return [project(made.camera(f"{eye}_{k}").intrinsics, p) for k, p in points.items()]
 
 
 @pytest.mark.parametrize("seed", SEEDS)

@@ -272,11 +272,14 @@ def test_the_guide_to_plans_runs(calibrated, quick, tmp_path, monkeypatch, capsy
     [
         ([], "say it with --board COLUMNS ROWS SQUARE_M"),
         (["--board", "9", "6", "30"], "the side of a square up to 1 m, found 9 6 30"),
-        (["--board", "9", "6", "0.03", "--views", "0"], "--views takes numbers above 0"),
+        (["--board", "9", "6", "0.03", "--views", "0"], "A plan has one view or more"),
         (["--board", "9", "6", "0.03", "--seed", "-1"], "seed must be a whole number from 0"),
         (["--board", "9", "6", "0.03", "--limits-deg", "25", "20"], "one for each of left_pan"),
-        (["--board", "9", "6", "0.03", "--limits-deg", "-5"], "--limits-deg takes numbers above 0"),
-        (["--board", "9", "6", "0.03", "--distances", "0"], "--distances takes numbers above 0"),
+        (
+            ["--board", "9", "6", "0.03", "--limits-deg", "-5"],
+            "or one for all, above 0; found -5.0 degrees",
+        ),
+        (["--board", "9", "6", "0.03", "--distances", "0"], "Distances of points are above 0 m"),
         (["--board", "9", "6", "0.03", "--distances", "0.02"], "name larger distances"),
     ],
 )

@@ -190,11 +190,9 @@ def test_a_pose_of_the_hand_that_is_not_finite_is_left_out_and_the_others_are_ke
     assert after.readings[-1].closed
     assert np.isfinite(after.command.goal).all()
     assert [each.T_body_hand[0, 3] for each in after.readings[-2:]] == [0.3, 0.4]
-    with pytest.raises(VergenceError, match=r"pose \(4, 4\); found shape \(3,\)"):
+    with pytest.raises(VergenceError, match=r"pose \(4, 4\).* found \[0. 0. 0.\]"):
         step_reach(SETTINGS, state, None, HandReading(1e3, np.zeros(3)), 1e3)
-    with pytest.raises(VergenceError, match=r"has a time and a pose .* found None"):
-        step_reach(SETTINGS, state, None, None, 1e3)  # type: ignore[arg-type]
-    with pytest.raises(VergenceError, match="first reading of the hand"):
+    with pytest.raises(VergenceError, match="the first one a finite one"):
         initial_reach_state(SETTINGS, np.zeros(7), lost, 0.0)
 
 

@@ -100,7 +100,6 @@ def budget(
     joints: Array,
     rates: Array,
     sources: Sequence[Source],
-    cameras: tuple[str, str] | None = None,
 ) -> list[Budget]:
     """Compute the budget of each of K points over a motion of the eyes.
 
@@ -110,12 +109,11 @@ def budget(
         joints: (T, r) readings [rad] of the motion.
         rates: (T, r) velocities of the readings [rad/s], for errors of the time offset.
         sources: white noise and known errors.
-        cameras: names of a camera of the left eye and one of the right; None: the main ones.
 
     Raises:
         VergenceError: a camera or parameter is unknown, or a point is not seen during the motion.
     """
-    return [_budget(head, point, joints, rates, sources, cameras) for point in points]
+    return [_budget(head, point, joints, rates, sources) for point in points]
 
 
 def _budget(
@@ -124,9 +122,8 @@ def _budget(
     joints: Array,
     rates: Array,
     sources: Sequence[Source],
-    cameras: tuple[str, str] | None,
 ) -> Budget:
-    seen, kept = _samples(head, point, joints, cameras)
+    seen, kept = _samples(head, point, joints)
     located, names = linearised(seen), (*pair_parameters(head, seen.cameras), TIME_OFFSET)
     by_time = located.by_readings @ rates[kept][..., None]
     by_head = np.concatenate([by_head_parameters(located, seen), by_time], axis=2)
@@ -165,11 +162,9 @@ def _budget(
     return Budget(point, tuple(parts), total, halved, len(kept))
 
 
-def _samples(
-    head: HeadCalibration, point: Array, joints: Array, cameras: tuple[str, str] | None
-) -> tuple[Sightings, np.ndarray]:
+def _samples(head: HeadCalibration, point: Array, joints: Array) -> tuple[Sightings, np.ndarray]:
     """Project the point in the samples (t,) of the motion that show it to both cameras."""
-    pair = pair_names(head, cameras)
+    pair = pair_names(head)
     pixels = [project_point(head, name, joints, point) for name in pair]
     sizes = [np.array(head.camera(name).intrinsics.size) for name in pair]
     inside = [((uv > -0.5) & (uv < size - 0.5)) for uv, size in zip(pixels, sizes, strict=True)]

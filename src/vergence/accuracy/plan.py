@@ -22,7 +22,7 @@ from vergence.accuracy.plan_views import Views, admissible_views
 from vergence.accuracy.plan_workspace import WorkspacePoints, largest_std, workspace
 from vergence.arrays import Array
 from vergence.calibration.summary import DISTANCES_M
-from vergence.errors import VergenceError
+from vergence.errors import VergenceError, check_seed
 from vergence.geometry.board import Board
 from vergence.geometry.head import HeadCalibration, pair_names, pixel_stds, reading_stds
 from vergence.geometry.kinematics import Kinematics
@@ -55,8 +55,6 @@ class Plan:
     steps_m: Array
     """(N,) the largest standard deviation after the first, first two, ... of the views."""
     workspace: WorkspacePoints
-    covariance: Array
-    """(p, p) of the head's estimated parameters after the views."""
 
 
 def plan(
@@ -85,6 +83,9 @@ def plan(
         VergenceError: no covariance is stated, the head has one eye, no board can be seen, the
             workspace is out of the eyes' reach, or more views than candidates are asked for.
     """
+    check_seed(seed)
+    if not distances_m or not min(distances_m) > 0:
+        raise VergenceError(f"Distances of points are above 0 m, found {distances_m}.")
     places, gazes = CANDIDATES
     if not 1 <= views <= places * gazes:
         raise VergenceError(
@@ -118,25 +119,21 @@ def plan(
     ]
     covariances: Array = np.linalg.inv(np.array([known.information, *steps])).astype(float)
     std = largest_std(by_scaled, covariances)
-    unit = np.outer(known.scale, known.scale)
-    return Plan(
-        head, board, taken, std[0], std[-1], std[1:].max(axis=1), points, covariances[-1] * unit
-    )
+    return Plan(head, board, taken, std[0], std[-1], std[1:].max(axis=1), points)
 
 
 def largest_readings(kinematics: Kinematics, limits_rad: ArrayLike) -> Array:
     """Convert the limits of `plan` to the largest readings (r,) [rad].
 
-    Raises VergenceError unless there is one limit for each reading, or one for all.
+    Raises VergenceError unless there is one limit above 0 for each reading, or one for all.
     """
     names, limits = kinematics.readings, np.asarray(limits_rad, dtype=float)
-    if limits.ndim == 0:
-        return limits / kinematics.factors
-    if limits.shape != (len(names),):
+    if limits.shape not in ((), (len(names),)) or not ((limits > 0) & (limits < np.inf)).all():
         raise VergenceError(
-            f"Limits are one for each of {', '.join(names)}, or one for all; found {limits.size}."
+            f"Limits are one for each of {', '.join(names)}, or one for all, above 0; found "
+            f"{np.degrees(limits)} degrees."
         )
-    return limits
+    return limits if limits.ndim else limits / kinematics.factors
 
 
 def choose(

@@ -5,31 +5,16 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence.accuracy.plan import largest_readings
 from vergence.calibration.calibrate import calibrate
 from vergence.data.description import MAX_SQUARE_M
 from vergence.data.reader import load_dataset
-from vergence.errors import VergenceError, check_seed
+from vergence.errors import VergenceError
 from vergence.geometry.board import Board, Chessboard
 from vergence.geometry.head import HeadCalibration, load_head
 from vergence.progress import Progress
-
-
-def check_plan(
-    views: int, limits_deg: tuple[float, ...], distances_m: tuple[float, ...], seed: int
-) -> None:
-    """Raise VergenceError for options of a plan that are out of range."""
-    check_seed(seed)
-    for name, values in (
-        ("--views", (views,)),
-        ("--limits-deg", limits_deg),
-        ("--distances", distances_m),
-    ):
-        if not values or not all(0 < value < np.inf for value in values):
-            raise VergenceError(f"{name} takes numbers above 0, found {values}.")
 
 
 def head_and_board(

@@ -82,16 +82,8 @@ def admissible_views(
 ) -> Views:
     """Draw admissible views: at each of some places of the board, some directions of gaze.
 
-    Args:
-        head: with a camera in each eye.
-        board: that is shown.
-        limits_rad: (r,) the largest reading of each joint, to either side.
-        rng: random generator.
-        places: number of places of the board.
-        gazes: number of views at each.
-
-    Raises:
-        VergenceError: the head has one eye, or the board fits into too few pairs of images.
+    `limits_rad` (r,) are the largest readings to either side. Raises VergenceError if the head has
+    one eye, or the board fits into too few pairs of images.
     """
     pair = [list(head.cameras).index(name) for name in pair_names(head)]
     found: list[tuple[Array, Array]] = []

@@ -46,14 +46,13 @@ def plan(
     import numpy as np
 
     from vergence.accuracy.plan import plan as plan_views
-    from vergence.accuracy.plan_source import check_plan, head_and_board
+    from vergence.accuracy.plan_source import head_and_board
     from vergence.cli.accuracy_reports import plan_report
     from vergence.cli.outputs import check_outputs
     from vergence.data.description import DESCRIPTION, FRAMES
     from vergence.viewer.plots.accuracy import save_plan
 
     check_outputs(json, figure=figure, inputs=[source, source / DESCRIPTION, source / FRAMES])
-    check_plan(views, limits_deg, distances, seed)
     limits_rad = np.radians(limits_deg[0] if len(limits_deg) == 1 else limits_deg)
     with progress_bars() as progress:
         head, shown = head_and_board(source, board, limits_rad, progress)

@@ -1,4 +1,4 @@
-"""Foveation: the wide pixel of a point that falls on the fovea (Sec. III, Eqs. 13-19).
+"""Foveation: the wide pixel of a point that falls on the fovea (Sec. III, Eqs. 18-19).
 
 The paper's foveal camera is `narrow` here, its peripheral one `wide`, and R_fp, t_fp are
 `head.T_narrow_wide`, the pose of the wide camera in the narrow one. The paper subtracts principal
@@ -21,27 +21,6 @@ from vergence.geometry.camera import project, unproject
 from vergence.geometry.head import HeadCalibration, T_narrow_wide
 from vergence.geometry.kinematics import Side
 from vergence.geometry.se3 import checked_points, inverse, transform
-
-
-def wide_from_narrow(T_narrow_wide: Array, points_narrow: Array) -> Array:
-    """Eq. 13: map points (..., 3) [m] from the narrow frame to the wide by R_fp, t_fp (4, 4)."""
-    R_fp, t_fp = T_narrow_wide[:3, :3], T_narrow_wide[:3, 3]
-    return (points_narrow - t_fp) @ R_fp  # rows: R_fp^T (y_f - t_fp)
-
-
-def project_both(
-    calibration: HeadCalibration, eye: Side, points_narrow: Array
-) -> tuple[Array, Array]:
-    """Eqs. 14-17: project points (..., 3) [m] of the narrow camera's frame into both cameras.
-
-    Returns pixels (..., 2) in the narrow image (Eqs. 14-15) and in the wide one (Eqs. 16-17); NaN
-    where a point is not in front of that camera.
-    """
-    points_wide = wide_from_narrow(T_narrow_wide(calibration, eye), points_narrow)
-    return (
-        project(calibration.camera(f"{eye}_narrow").intrinsics, points_narrow),
-        project(calibration.camera(f"{eye}_wide").intrinsics, points_wide),
-    )
 
 
 def ideal_wide_pixel(

@@ -68,19 +68,16 @@ def append_reading(
     """Append a reading to those that are as late as an image may be.
 
     A pose that is not finite, as from a bus that does not answer, is replaced by the last one.
-    Raises VergenceError if the reading is invalid, or there is no last one.
+    Raises VergenceError if it is not (4, 4), or the first one is not finite.
     """
-    try:  # a copy, since a driver may write the next pose into the same array
-        time_s, T = float(reading.time_s), np.array(reading.T_body_hand, float)
-    except (AttributeError, TypeError, ValueError):
+    # A copy, since a driver may write the next pose into the same array.
+    time_s, T = reading.time_s, np.array(reading.T_body_hand, float)
+    finite = bool(np.isfinite(T).all() and np.isfinite(time_s))
+    if T.shape != (4, 4) or not (finite or earlier):
         raise VergenceError(
-            f"A reading of the hand has a time and a pose (4, 4); found {reading!r:.80}."
-        ) from None
-    if T.shape != (4, 4):
-        raise VergenceError(f"A reading of the hand has a pose (4, 4); found shape {T.shape}.")
-    if not (np.isfinite(T).all() and np.isfinite(time_s)):
-        if not earlier:
-            raise VergenceError("The first reading of the hand has a finite time and pose.")
+            f"A reading of the hand has a pose (4, 4), the first one a finite one; found {T}."
+        )
+    if not finite:
         return (*earlier[:-1], replace(earlier[-1], closed=reading.closed))
     kept = [each for each in earlier if time_s - MAX_DELAY_S < each.time_s < time_s]
     return (*kept, replace(reading, T_body_hand=T))
