@@ -17,7 +17,6 @@ from recordings import (
     write_dataset,
     write_table,
 )  # fmt: skip
-from vergence.data import table
 from vergence.data.dataset import runs
 from vergence.data.reader import _unmarked_motion, load_dataset
 from vergence.errors import VergenceError
@@ -104,38 +103,6 @@ def test_all_16_bit_images_of_a_camera_are_reduced_alike(tmp_path, bits, brighte
     assert dataset.image("left_wide", 2)[0, 0, 0] == min(255, brightest >> ((bits or 10) - 8))
 
 
-def test_an_image_is_the_same_whichever_is_read_first(tmp_path):
-    table = rows(30)
-    dim = np.full((24, 32), 500, np.uint16)
-    glare = dim.copy()
-    glare[0, 0] = 5000
-    images = {row["left_wide"]: dim for row in table} | {table[7]["left_wide"]: glare}
-    black = np.zeros((24, 32), np.uint8)
-    images |= {row["right_wide"]: black for row in table if row["right_wide"]}
-    write_dataset(tmp_path / "set", table, description(), images)
-    found = []
-    for first in (0, 7):
-        dataset = load_dataset(tmp_path / "set")
-        dataset.image("left_wide", first)
-        found.append(dataset.image("left_wide", 0))
-    np.testing.assert_array_equal(*found)
-
-
-def test_images_of_16_bits_after_one_of_8_are_reduced_by_their_own(tmp_path):
-    table = rows(2)
-    shallow, deep = np.full((24, 32), 100, np.uint8), np.full((24, 32), 100 * 257, np.uint16)
-    deep[0, 0] = 65535
-    first, second = table
-    images: dict[str, np.ndarray] = {first["left_wide"]: shallow, first["right_wide"]: shallow}
-    images |= {second["left_wide"]: deep}
-    write_dataset(tmp_path / "set", table, description(), images)
-    dataset = load_dataset(tmp_path / "set")
-    for row in range(2):
-        image = dataset.image("left_wide", row)
-        assert image is not None
-        assert image[5, 5].tolist() == [100] * 3
-
-
 def test_units_signs_and_columns_are_those_of_the_head(folder):
     change_about(
         folder,
@@ -178,15 +145,6 @@ def test_columns_of_ones_own_begin_with_an_underscore(folder):
     assert len(load_dataset(folder)) == 2
     write_table(folder, [row | {"temperature": "warm"} for row in rows(2)])
     assert "'temperature' is not known" in refusal(folder)
-
-
-def test_a_table_has_as_many_rows_as_are_allowed(folder, monkeypatch):
-    monkeypatch.setattr(table, "MAX_ROWS", 3)
-    write_table(folder, rows(3))
-    load_dataset(folder)
-    write_table(folder, rows(4))
-    with pytest.raises(VergenceError, match=r"more than .* 3 rows"):
-        load_dataset(folder)
 
 
 def test_a_byte_order_mark_and_blank_lines_are_no_matter(folder):

@@ -179,17 +179,6 @@ def test_a_folder_that_is_not_empty_is_never_overwritten(tmp_path):
     assert sorted(folder.rglob("*")) == before
 
 
-def test_a_folder_may_be_named_by_a_string(tmp_path):
-    write_dataset(str(tmp_path / "set"), about(), entries(1, np.random.default_rng(1)))
-    assert len(load_dataset(str(tmp_path / "set"))) == 1
-
-
-def test_an_empty_folder_is_used(tmp_path):
-    (tmp_path / "set").mkdir()
-    write_dataset(tmp_path / "set", about(), entries(2, np.random.default_rng(0)))
-    assert len(load_dataset(tmp_path / "set")) == 2
-
-
 def test_a_dataset_without_rows_is_not_written(tmp_path):
     with pytest.raises(VergenceError, match="A dataset has one row or more; found none"):
         write_dataset(tmp_path / "set", about(), [])
@@ -205,20 +194,3 @@ def test_images_of_16_bits_keep_their_levels(tmp_path):
     read = load_dataset(tmp_path / "set").image("left_wide", 0)
     assert read is not None
     np.testing.assert_array_equal(read[..., 0], deep >> 2)
-
-
-def test_an_interrupted_recording_leaves_nothing_behind(tmp_path):
-    def broken():
-        yield from entries(2, np.random.default_rng(0))
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        write_dataset(tmp_path / "set", about(), broken())
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_folder_that_cannot_be_made_is_named(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(VergenceError, match="Cannot") as refused:
-        write_dataset(tmp_path / "file" / "set", about(), [])
-    assert "\n" not in str(refused.value)

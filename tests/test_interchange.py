@@ -8,7 +8,7 @@ import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
-from pydantic import TypeAdapter, ValidationError
+from pydantic import TypeAdapter
 
 from simulated_head import skewed_head, unskewed_head
 from vergence.errors import VergenceError
@@ -23,6 +23,7 @@ from vergence.interchange.formats import export_head, import_head
 from vergence.interchange.serialization import with_intrinsics
 
 SEEDS = st.integers(0, 2**32 - 1)
+NAMED_NECK = Neck(np.eye(3)[[2, 1]], np.ones((2, 3)), np.ones(3), joints=("neck_yaw", "neck_pitch"))
 
 
 def with_k3(head: HeadCalibration, k3: float) -> HeadCalibration:
@@ -37,7 +38,7 @@ def numbers(item: HeadCalibration | Camera) -> dict:
 
 
 @pytest.mark.parametrize("suffix", opencv.SUFFIXES)
-@pytest.mark.parametrize("neck", [unskewed_head(1).neck, Neck()], ids=["neck", "no neck"])
+@pytest.mark.parametrize("neck", [NAMED_NECK, Neck()], ids=["neck", "no neck"])
 def test_a_head_survives_opencv_to_the_last_digit(tmp_path, suffix, neck):
     head = replace(with_k3(unskewed_head(1), 0.0123456789), time_offset_s=0.0321, neck=neck)
     opencv.save(head, tmp_path / f"head{suffix}")
@@ -160,58 +161,10 @@ def test_a_camera_that_the_head_has_not_is_named(tmp_path):
         import_head(tmp_path, "ros", template=start)
 
 
-def test_names_that_lead_out_of_the_folder_are_refused(tmp_path):
-    head = unskewed_head(16)
-    cameras = {"../left_wide": head.cameras["left_wide"]}
-    with pytest.raises(ValidationError, match="letters, digits"):
-        replace(head, cameras=cameras)
-    with pytest.raises(VergenceError, match="letters, digits"):
-        ros.save(replace(head, cameras={"left-wide": head.cameras["left_wide"]}), tmp_path / "info")
-    assert list(tmp_path.iterdir()) == []
-
-
-@given(data=st.data())
-def test_damaged_files_are_refused_in_one_sentence_or_read(data, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("damaged")
-    head = unskewed_head(17)
-    name, format_name = data.draw(
-        st.sampled_from([("head.yml", "opencv"), ("camchain.yaml", "kalibr"), ("info", "ros")])
-    )
-    export_head(head, folder / name, format_name)
-    file = folder / name if format_name != "ros" else folder / name / "left_wide.yaml"
-    lines = file.read_text().splitlines()
-    k = data.draw(st.integers(0, len(lines) - 1))
-    damaged = {
-        "cut": lines[:k],
-        "drop": lines[:k] + lines[k + 1 :],
-        "garble": [*lines[:k], data.draw(st.text(max_size=20)), *lines[k + 1 :]],
-        "nan": [*lines[:k], lines[k].replace("0.", ".nan "), *lines[k + 1 :]],
-        "empty": [],
-    }
-    how = data.draw(st.sampled_from(sorted(damaged)))
-    file.write_text("\n".join(damaged[how]), encoding="utf-8")
-    try:
-        back = import_head(folder / name, format_name, template=head)
-        message = ""
-    except VergenceError as error:
-        back, message = head, str(error)
-    assert "\n" not in message
-    assert set(back.cameras) <= set(head.cameras)
-
-
 @pytest.mark.parametrize("format_name", ["kalibr", "ros", "opencv"])
 def test_a_missing_file_is_named(tmp_path, format_name):
     with pytest.raises(VergenceError, match=r"none\.yml"):
         import_head(tmp_path / "none.yml", format_name, template=unskewed_head(18))
-
-
-@pytest.mark.parametrize("suffix", [".yml", ".xml", ".json"])
-def test_names_of_a_neck_travel_through_opencv(tmp_path, suffix):
-    axes, points_m = np.array([[0.0, 0, 1], [0, 1, 0]]), np.zeros((2, 3))
-    neck = Neck(axes, points_m, np.zeros(3), joints=("neck_yaw", "neck_pitch"))
-    file = tmp_path / f"head{suffix}"
-    opencv.save(replace(unskewed_head(3), neck=neck), file)
-    assert opencv.load(file).neck.joints == neck.joints
 
 
 def test_opencv_says_which_endings_it_knows(tmp_path):

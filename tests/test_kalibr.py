@@ -56,21 +56,6 @@ def test_a_camchain_leads_from_camera_to_camera(tmp_path):
     )
 
 
-def test_a_camchain_brings_a_head_all_but_its_wide_mountings(tmp_path):
-    head = unskewed_head(7)
-    rng = np.random.default_rng(7)
-    cameras = {
-        name: m if name.endswith("wide") else replace(m, T_eye_cam=random_pose(rng))
-        for name, m in head.cameras.items()
-    }
-    start = replace(unskewed_head(8), cameras=cameras, kinematics=head.kinematics)
-    kalibr.save(head, tmp_path / "camchain.yaml")
-    back = import_head(tmp_path / "camchain.yaml", "kalibr", template=start)
-    np.testing.assert_allclose(back.T_rbase_lbase, head.T_rbase_lbase, atol=1e-12)
-    for name, mounted in head.cameras.items():
-        np.testing.assert_allclose(back.cameras[name].T_eye_cam, mounted.T_eye_cam, atol=1e-12)
-
-
 def test_a_camchain_brings_poses_to_cameras_of_any_name(tmp_path):
     head = unskewed_head(7)
     renamed = {

@@ -3,10 +3,9 @@
 from pathlib import Path
 
 import pytest
-from pydantic import ValidationError
 
 from vergence.errors import VergenceError
-from vergence.twin.profile import ErrorProfile, load_profile, shipped
+from vergence.twin.profile import load_profile, shipped
 
 
 @pytest.fixture
@@ -24,29 +23,6 @@ def test_what_ships_loads_under_its_own_name(name: str):
     profile = load_profile(name)
     assert profile.name == name
     assert profile.description.endswith(".")
-
-
-def test_ideal_has_noise_in_the_image_and_mounting_errors_only():
-    profile = load_profile("ideal")
-    assert profile.image.noise_grey > 0
-    assert profile.mounting.rotation_deg > 0
-    perfect = ErrorProfile()
-    assert profile.joints == perfect.joints
-    assert profile.axes == perfect.axes
-    assert profile.by_hand == perfect.by_hand
-    assert profile.calibration == perfect.calibration
-
-
-def test_noise_only_is_ideal_with_white_noise_in_the_joints():
-    ideal, noisy = load_profile("ideal"), load_profile("noise-only")
-    assert noisy.joints.noise_deg > 0
-    quiet = noisy.joints.model_copy(update={"noise_deg": 0.0})
-    same = {"name": ideal.name, "description": ideal.description, "joints": quiet}
-    assert noisy.model_copy(update=same) == ideal
-
-
-def test_an_empty_file_is_a_perfect_head(write):
-    assert load_profile(write("")) == ErrorProfile()
 
 
 def test_values_arrive_where_they_belong(write):
@@ -112,8 +88,3 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path):
 def test_an_unknown_name_is_answered_with_the_known_ones(name: str):
     with pytest.raises(VergenceError, match=r"there are ideal, noise-only, paper"):
         load_profile(name)
-
-
-def test_a_profile_cannot_be_changed():
-    with pytest.raises(ValidationError, match="frozen"):
-        ErrorProfile().name = "other"  # pyright: ignore

@@ -36,12 +36,6 @@ def test_a_replay_lasts_whole_periods_and_at_least_a_minute():
     assert default_duration_s("divergent") == pytest.approx(60 * np.pi)  # 188.5 s
 
 
-def test_a_single_moment_is_as_good_as_many():
-    np.testing.assert_array_equal(
-        eye_angles("divergent", np.array(3.0)), eye_angles("divergent", np.array([3.0]))[0]
-    )
-
-
 def test_the_printed_depths_vary_more_in_divergent_than_in_parallel_motion():
     """Sec. IV: by factors of 1.5 to 2, and depth more than the other axes in every figure."""
     assert list(FIGURES) == [6, 7, 8, 9, 10, 11]

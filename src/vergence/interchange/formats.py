@@ -60,13 +60,10 @@ def import_head(
 
 def unchanged_lenses(head: HeadCalibration, template: HeadCalibration) -> list[str]:
     """List the cameras of an imported head whose intrinsics are those of its template."""
-    both = {
-        name: (head.camera(name).intrinsics, template.camera(name).intrinsics)
-        for name in template.cameras
-    }
+    pairs = ((n, head.camera(n).intrinsics, m.intrinsics) for n, m in template.cameras.items())
     return [
         name
-        for name, (lens, before) in both.items()
+        for name, lens, before in pairs
         if np.array_equal(lens.matrix, before.matrix)
         and np.array_equal(lens.distortion, before.distortion)
     ]

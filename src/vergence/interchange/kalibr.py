@@ -45,11 +45,8 @@ class _Cam(BaseModel):
     def camera(self) -> Camera:
         count = 0 if self.distortion_model == "none" else 4
         if len(self.distortion_coeffs) != count:
-            raise ValueError(
-                f"distortion_coeffs has "
-                f"{counted(len(self.distortion_coeffs), 'number')}; "
-                f"{self.distortion_model} has {count}"
-            )
+            found = counted(len(self.distortion_coeffs), "number")
+            raise ValueError(f"distortion_coeffs has {found}; {self.distortion_model} has {count}")
         fx, fy, cx, cy = self.intrinsics
         fisheye = self.distortion_model == "equidistant"
         spare = [] if fisheye else [0.0] * (5 - count)

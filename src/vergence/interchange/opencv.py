@@ -12,7 +12,6 @@ time_offset_s
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Mapping
 from dataclasses import fields
@@ -43,17 +42,21 @@ from vergence.interchange.serialization import (
 SUFFIXES = (".yml", ".yaml", ".xml", ".json")
 FORMAT = "vergence-head-opencv-2"
 _ERRORS = tuple(field.name for field in fields(Joint) if isinstance(field.default, float))
-"""The fields of a joint that say how it differs from the design."""
+"""Fields of a joint with its deviations from the design."""
 
 
 def save(head: HeadCalibration, path: Path) -> None:
-    """Write a head with cv2.FileStorage; its accuracy is left out, and how its eyes were read.
+    """Write a head without its accuracy with cv2.FileStorage.
 
-    VergenceError if a camera has skew, which OpenCV's functions ignore, the file's suffix is none
-    of SUFFIXES, or it cannot be written.
+    VergenceError if a camera has skew, which OpenCV's functions ignore, the suffix is not one of
+    SUFFIXES, or the file cannot be written.
     """
     check_cameras(head, "OpenCV's camera model")
-    _check_suffix(path)
+    if path.suffix not in SUFFIXES:
+        raise VergenceError(
+            f"OpenCV chooses the format by the file's suffix, one of {', '.join(SUFFIXES)}; found "
+            f"{path.name!r}."
+        )
     content = {
         "format": FORMAT,
         "cameras": {
@@ -91,14 +94,6 @@ def _joint_fields(joint: Joint, kinematics: Kinematics) -> dict[str, Any]:
     factors = np.array([[joint.readings.get(name, 0.0) for name in kinematics.readings]])
     rest = {name: value for name, value in vars(joint).items() if name in _ERRORS}
     return {"axis": joint.axis[None], "point_m": joint.point_m[None], "factors": factors, **rest}
-
-
-def _check_suffix(path: Path) -> None:
-    if path.suffix not in SUFFIXES:
-        raise VergenceError(
-            f"OpenCV chooses the format by the file's suffix, one of {', '.join(SUFFIXES)}; found "
-            f"{path.name!r}."
-        )
 
 
 def _write(storage: cv2.FileStorage, content: Mapping[str, Any]) -> None:
@@ -162,8 +157,6 @@ def load(path: Path) -> HeadCalibration:
     It does not use cv2.FileStorage, whose parser can end the process on a damaged file.
     VergenceError if the file is missing, cannot be read, or a field is not valid.
     """
-    if os.path.isfile(path):  # else the missing file is named below
-        _check_suffix(path)
     parsers = {".xml": _parse_xml, ".json": parse_json}
     what = "a head in a file of OpenCV's FileStorage"
     return read(path, what, _head, parsers.get(path.suffix, _parse_yaml))
