@@ -18,10 +18,10 @@ from simulated_matches import drawn_head, matches, room, squared_distance, turn_
 from vergence.accuracy.motions import eye_angles
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.parameters import change_between, change_named
+from vergence.geometry.parameters import change_named
 from vergence.self_calibration.filter import update
 from vergence.self_calibration.frame import estimate_from_matches
-from vergence.self_calibration.kalman import contradicts_prior, evidence_about, predict
+from vergence.self_calibration.kalman import evidence_about, predict
 from vergence.self_calibration.prior import DRIFT, UNCALIBRATED, tolerance_covariance
 from vergence.self_calibration.state import FilterState, PriorSnapshot
 from vergence.twin.model import nominal_head
@@ -165,29 +165,6 @@ def learned(frames: int, *, joint_std_deg: float, told_deg: float) -> FilterStat
     return state
 
 
-def test_what_few_windows_taught_must_be_farther_from_the_calibration_to_contradict_it():
-    """The noise of their matches is estimated from fewer sums of residuals: an F-test."""
-    state = learned(8, joint_std_deg=0.15, told_deg=0.15)
-    recurrence = state.revisits
-    assert recurrence is not None
-    filled = np.flatnonzero(recurrence.blocks.any(axis=0))
-    few = np.zeros_like(recurrence.blocks)
-    few[:, filled[:8]] = 1.0
-
-    def exceeds(factor: float, blocks: np.ndarray) -> bool:
-        change = change_between(state.head, state.prior.head, state.names)
-        head = change_named(state.prior.head, state.names, factor * change)
-        known = replace(state, head=head, revisits=replace(recurrence, blocks=blocks))
-        return contradicts_prior(known)
-
-    factors = 1.05 ** np.arange(200)
-    of_all, of_few = (
-        next(f for f in factors if exceeds(f, blocks)) for blocks in (recurrence.blocks, few)
-    )
-    assert of_all > 1
-    assert 1.2 * of_all < of_few < 5 * of_all
-
-
 def test_what_may_drift_in_a_pause_is_expected_in_the_frame_after_it():
     state, rng = learned(9, joint_std_deg=0.15, told_deg=0.15), np.random.default_rng(5)
     turned = [f"right_wide.T_eye_cam.r{axis}" for axis in "xyz"]
@@ -225,9 +202,8 @@ def board() -> np.ndarray:
     return np.stack([np.full(y.size, 0.7), y.ravel(), z.ravel()], axis=1)
 
 
-@pytest.mark.parametrize("points", [room(40, np.random.default_rng(6)), board()])
-def test_a_few_matches_or_a_small_object_report_no_change_however_well_they_fit_one(points):
-    head, rng = head_of(0), np.random.default_rng(6)
+def test_a_small_object_reports_no_change_however_well_it_fits_one():
+    head, rng, points = head_of(0), np.random.default_rng(6), board()
     state = learned(9, joint_std_deg=0.15, told_deg=0.15)
     truth = change_named(head, ["right_wide.T_eye_cam.rx"], np.radians([2.0]))
     for angles in 0.5 * postures(4, rng):

@@ -16,8 +16,6 @@ from vergence.self_calibration.frame import estimate_from_matches
 from vergence.self_calibration.kalman import predict
 from vergence.self_calibration.match_noise import (
     RevisitCorrelation,
-    design_effect,
-    filled_share,
     frame_novelty,
     predict_revisits,
     revisit_inflation,
@@ -82,67 +80,33 @@ def inflation_at(before: RevisitCorrelation | None, posture: np.ndarray) -> floa
 
 def test_a_frame_counts_by_what_its_posture_adds():
     """At one posture n frames tell as much as n / (1 + c (n - 1)) independent ones."""
-    joints, blocks = np.zeros(4), np.ones(8)
-    before, told, c, everywhere = None, 0.0, 0.3, 0.005
+    posture, revisits, told, c, far = np.zeros(4), None, 0.0, 0.25, 0.005
+    c = c * (1 - far) + far  # the first is of what frames at any posture do not share
     for n in range(1, 6):
-        told += 1 / inflation_at(before, joints)
-        assert told == pytest.approx(n / (1 + (c + everywhere) * (n - 1)))
-        # Of what is not in common at any posture.
-        novelty = frame_novelty(before, joints)
-        after = update_revisits(before, joints, novelty=novelty, blocks=blocks)
-        before = replace(after, correlation=c / (1 - everywhere))
-    # Elsewhere, or much later, all but what frames have in common at any posture is new.
-    K = (1 - c - everywhere) * np.eye(6) + c + everywhere
-    K[5, :5] = K[:5, 5] = everywhere
-    new = 1 / (np.linalg.solve(K, np.ones(6)).sum() - told)
-    assert 1 < new < 1.2
-    elsewhere = joints + np.radians(60)
-    assert inflation_at(before, elsewhere) == pytest.approx(new, abs=1e-3)
-    assert inflation_at(predict_revisits(before, 7200.0), joints) == pytest.approx(1, abs=1e-3)
+        told += 1 / inflation_at(revisits, posture)
+        assert told == pytest.approx(n / (1 + c * (n - 1)))
+        revisits = update_revisits(revisits, posture, novelty=frame_novelty(revisits, posture))
+    assert 1 < inflation_at(revisits, posture + np.radians(60)) < 1.2
+    assert inflation_at(predict_revisits(revisits, 7200.0), posture) == pytest.approx(1, abs=1e-3)
 
 
 @pytest.mark.parametrize("systematic", [0.0, 0.3])
 def test_no_number_of_frames_tells_more_than_what_they_have_in_common_allows(systematic):
-    told, before, rng = 0.0, None, np.random.default_rng(0)
-    everywhere = systematic + (1 - systematic) * 0.005
-    for joints in rng.uniform(-100, 100, (1000, 4)):  # postures without a common neighbour
-        told += 1 / inflation_at(before, joints)
-        before = update_revisits(
-            before,
-            joints,
-            novelty=frame_novelty(before, joints),
-            blocks=np.ones(8),
-            systematic=systematic,
-        )
-    assert told == pytest.approx(1000 / (1 + everywhere * 999), rel=1e-6)
-    assert told < 1 / everywhere
+    told, revisits, rng = 0.0, None, np.random.default_rng(0)
+    far = systematic + (1 - systematic) * 0.005
+    for posture in rng.uniform(-100, 100, (1000, 4)):  # without a common neighbour
+        told += 1 / inflation_at(revisits, posture)
+        novelty = frame_novelty(revisits, posture)
+        revisits = update_revisits(revisits, posture, novelty=novelty, systematic=systematic)
+    assert told == pytest.approx(1000 / (1 + far * 999), rel=1e-6)
 
 
-@given(
-    seed=st.integers(0, 2**32 - 1),
-    n=st.integers(1, 100),
-    apart_deg=st.floats(0.01, 60),
-    correlation=st.floats(0, 0.95),
-)
-def test_no_frame_tells_more_than_one_that_shares_no_errors(seed, n, apart_deg, correlation):
+@given(seed=st.integers(0, 2**32 - 1), n=st.integers(1, 100), apart_deg=st.floats(0.01, 60))
+def test_no_frame_tells_more_than_one_that_shares_no_errors(seed, n, apart_deg):
     rng = np.random.default_rng(seed)
-    joints = np.radians(apart_deg) * rng.normal(size=(n + 1, 4))
-    before = RevisitCorrelation(joints[1:], rng.uniform(0, 1200, n), np.ones((n, 4)), correlation)
-    assert inflation_at(predict_revisits(before, rng.uniform(0, 10)), joints[0]) >= 1 - 1e-9
-
-
-@pytest.mark.parametrize(("width", "height"), [(320, 240), (640, 480), (500, 333), (3000, 2000)])
-def test_features_all_over_an_image_of_any_size_fill_it(width, height):
-    rng, size = np.random.default_rng(0), (width, height)
-    pixels = rng.uniform(0, size, (20_000, 2))
-
-    def filled(seen: np.ndarray) -> float:
-        _, blocks = design_effect(rng.normal(size=seen.sum()), pixels[seen], size, expected=2.0)
-        return filled_share(blocks, size)
-
-    assert filled(pixels[:, 0] < width) == 1
-    assert filled(pixels[:, 0] < width / 20) == pytest.approx(1 / min(-(-width // 64), 16))
-    assert filled((pixels < np.array(size) / 20).all(axis=1)) < 0.06
+    postures = np.radians(apart_deg) * rng.normal(size=(n + 1, 4))
+    revisits = RevisitCorrelation(postures[1:], rng.uniform(0, 1200, n))
+    assert inflation_at(predict_revisits(revisits, rng.uniform(0, 10)), postures[0]) >= 1 - 1e-9
 
 
 def test_how_much_matches_err_is_learned():

@@ -200,13 +200,6 @@ def test_gains_of_readings_that_count_against_each_other_err_alike_too():
     assert of_both_eyes("vergence") == pytest.approx(-0.5, abs=0.02)
 
 
-def test_names_of_cameras_do_not_matter():
-    head = head_of(0)
-    named = {f"{name}_factor_x": mounted for name, mounted in head.cameras.items()}
-    covariances = [initial_state(each).covariance for each in (head, replace(head, cameras=named))]
-    np.testing.assert_allclose(*covariances, rtol=1e-9)
-
-
 @pytest.mark.parametrize(("stated_deg", "taken_deg"), [(0.0, 0.2), (0.01, 0.05), (0.1, 0.1)])
 def test_readings_of_moving_eyes_err_by_more_than_a_recording_at_rest_may_state(
     stated_deg, taken_deg

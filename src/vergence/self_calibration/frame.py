@@ -19,7 +19,6 @@ from vergence.geometry.camera import check_image_fits
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import checked_readings
 from vergence.geometry.parameters import change_named
-from vergence.self_calibration.keyframe import estimate_from_tracked, track_keyframe
 from vergence.self_calibration.match_noise import frame_novelty, revisit_inflation
 from vergence.self_calibration.prior import UNCALIBRATED, tolerance_covariance
 from vergence.self_calibration.residuals import epipolar_residuals, pair_coordinates
@@ -92,8 +91,6 @@ def estimate_from_matches(
 ) -> FrameEstimate:
     """Estimate head and joint angles from the matches of a pair of images.
 
-    Where both eyes together show too little, features of the keyframe are tracked in each eye.
-
     Args:
         state: predicted for the frame.
         matches: of the pair.
@@ -114,14 +111,6 @@ def estimate_from_matches(
         evidence=None,
         images=images,
     )
-    estimate = _update_with_matches(state, prior, at_head=at_head)
-    tracked = track_keyframe(state, estimate) if estimate.evidence is None else None
-    return estimate if tracked is None else estimate_from_tracked(state, estimate, tracked)
-
-
-def _update_with_matches(
-    state: FilterState, prior: FrameEstimate, *, at_head: bool
-) -> FrameEstimate:
     C, N, P = prior.covariance, len(prior.weights), len(state.names)
     if FEWEST > N:
         return prior

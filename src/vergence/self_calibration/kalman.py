@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import fdtri
+from scipy.special import chdtri
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
@@ -19,7 +19,6 @@ from vergence.geometry.parameters import change_between, change_named
 from vergence.self_calibration.keyframe import add_tracked, augmented_covariance, next_keyframe
 from vergence.self_calibration.match_noise import (
     PACE,
-    noise_degrees,
     predict_revisits,
     revisit_inflation,
     update_revisits,
@@ -100,7 +99,6 @@ def kalman_update(
             state.revisits,
             state.head.kinematics.factors * estimate.readings,
             novelty=estimate.novelty,
-            blocks=evidence.blocks,
             systematic=evidence.systematic,
         ),
         match_scale=state.match_scale * (1 + PACE * (evidence.match_scale - 1)),
@@ -149,9 +147,7 @@ def contradicts_prior(state: FilterState) -> bool:
     learned = values < 1 - _LEAST_LEARNED
     moved = directions[:, learned].T @ (whiten @ change)
     distance = float((moved**2 / (1 - values[learned])).sum())
-    # An F-test, since the noise of the matches is estimated too.
-    degrees = max(float(learned.sum()), 1.0)
-    return distance > degrees * fdtri(degrees, noise_degrees(state.revisits), 1 - GATE)
+    return distance > chdtri(max(float(learned.sum()), 1.0), GATE)
 
 
 def log_likelihood(state: FilterState, evidence: Evidence) -> float:

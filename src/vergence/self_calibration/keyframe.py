@@ -144,32 +144,6 @@ def augmented_covariance(state: FilterState) -> Array:
     return np.block([[C, cross], [cross.T, key.covariance]])
 
 
-def estimate_from_tracked(
-    state: FilterState, estimate: FrameEstimate, tracked: TrackedFeatures
-) -> FrameEstimate:
-    """Estimate a frame from the features that each eye tracked alone.
-
-    An eye in which too few features fit keeps its readings.
-
-    Args:
-        state: predicted for the frame.
-        estimate: the frame as its prior.
-        tracked: features of the keyframe in it.
-    """
-    P, r = len(state.names), len(estimate.readings)
-    C = augmented_covariance(state)
-    nothing = np.zeros_like(C), np.zeros(len(C))
-    change, C = posterior(*add_tracked(state, estimate, tracked, *nothing), C)
-    if not change.any():
-        return estimate
-    return replace(
-        estimate,
-        head=change_named(state.head, state.names, change[:P]),
-        joints=estimate.readings + change[P : P + r],
-        covariance=C[: P + r, : P + r],
-    )
-
-
 def add_tracked(
     state: FilterState,
     estimate: FrameEstimate,

@@ -30,6 +30,8 @@ _UNKNOWNS = 5
 _WINDOWS_RAD, _SURFACES_RAD = np.radians([1.2, 13.0])
 """Scales of the correlation over the distance of postures, half exp(-x) and half exp(-x^2); fitted
 to 800 rendered pairs with correlations of 0.36 within 1 degree, 0.14 at 5, 0.07 at 13."""
+_SAME_CORRELATION = 0.25
+"""Correlation at the same posture; 0.1 to 0.33 in rendered figures."""
 _FADING_S = 600.0
 """Decay time of the correlation, so that a drifted head is learned again; with 120 s the squared
 Mahalanobis distances of nine rendered minutes are 1.2 to 1.4 times as large."""
@@ -51,10 +53,6 @@ class RevisitCorrelation:
     """(n, r) joint angles of past frames [rad]: readings times gear factors."""
     ages_s: Array
     """(n,)"""
-    blocks: np.ndarray
-    """(n, B) float32 sums of their residuals in blocks, as unit vectors."""
-    correlation: float = 0.4
-    """Of the errors of two frames at the same posture; at first that of rendered images."""
     independent: float = 0.0
     """Equivalent number of independent frames, apart from the far correlation."""
     far_correlation: float = _FAR_CORRELATION
@@ -81,8 +79,8 @@ def noise_variance(y: Array) -> float:
 
 def design_effect(
     y: Array, pixels: Array, size: tuple[int, int], expected: float
-) -> tuple[float, Array]:
-    """Estimate the variance inflation by errors that neighbours share, and sums (B,) over blocks.
+) -> tuple[float, float]:
+    """Estimate the variance inflation by errors that neighbours share.
 
     The sandwich formula of an M-estimate with clusters, relative to independent errors of unit
     variance.
@@ -92,47 +90,29 @@ def design_effect(
         pixels: (N, 2) their positions in an image.
         size: width and height of the image [px].
         expected: prior design effect.
+
+    Returns:
+        The variance inflation, and the share of the image's blocks with inliers.
     """
-    column, row = np.clip(pixels // _block_px(size), 0, _BLOCKS - 1).astype(int).T
+    block_px = max(_BLOCK_PX, max(size) / _BLOCKS)
+    column, row = np.clip(pixels // block_px, 0, _BLOCKS - 1).astype(int).T
     block = row * _BLOCKS + column
     u2 = np.minimum((y / CUT) ** 2, 1.0)
     weights, slopes = (1 - u2) ** 2, (1 - u2) * (1 - 5 * u2)  # psi(y) / y, and psi'(y)
     sums = np.bincount(block, weights * y, _BLOCKS**2).astype(float)
     used = float((np.bincount(block, weights, _BLOCKS**2) > 0.5).sum())
+    filled = np.count_nonzero(sums) / float(np.prod(np.ceil(np.array(size) / block_px)))
     total, slope = float(weights.sum()), float(slopes.sum())
     if used <= _UNKNOWNS or slope < 0.2 * total:  # too few blocks, or most residuals are outliers
-        return expected, sums
+        return expected, filled
     measured = float(sums @ sums) * total / slope**2 * used / (used - _UNKNOWNS)
     mean = (used * measured + _DESIGN_BLOCKS * expected) / (used + _DESIGN_BLOCKS)
-    return mean, sums
-
-
-def filled_share(blocks: np.ndarray, size: tuple[int, int]) -> float:
-    """Compute the share of an image that features fill, from their sums (B,) over blocks."""
-    across, down = np.ceil(np.array(size) / _block_px(size))
-    return float(np.count_nonzero(blocks) / (across * down))
-
-
-def _block_px(size: tuple[int, int]) -> float:
-    return max(_BLOCK_PX, max(size) / _BLOCKS)
+    return mean, filled
 
 
 def systematic_inflation(weights: Array, share: float) -> float:
-    """Compute the variance inflation by systematic lens errors.
-
-    Args:
-        weights: (N,) of the residuals.
-        share: systematic share of their variance.
-    """
+    """Compute the inflation by systematic lens errors, a share of residuals with weights (N,)."""
     return share * float(weights.sum()) / _FIELD_PARTS
-
-
-def noise_degrees(revisits: RevisitCorrelation | None) -> float:
-    """Count the degrees of freedom from which the noise of past matches was estimated."""
-    if revisits is None:
-        return 1.0
-    blocks = float(np.count_nonzero(revisits.blocks, axis=1).mean())
-    return max(revisits.independent * blocks - _UNKNOWNS, 1.0)
 
 
 def predict_revisits(revisits: RevisitCorrelation, elapsed_s: float) -> RevisitCorrelation:
@@ -149,12 +129,12 @@ def frame_novelty(revisits: RevisitCorrelation | None, posture: Array) -> float:
     """
     if revisits is None:
         return 1.0
-    nearest = np.argsort(_distance(revisits.postures, posture))[:_NEAREST]
+    nearest = np.argsort(np.linalg.norm(revisits.postures - posture, axis=1))[:_NEAREST]
     postures, ages_s = revisits.postures[nearest], revisits.ages_s[nearest]
     between_s = np.abs(ages_s[:, None] - ages_s)
-    K = revisits.correlation * _kernel(_distance(postures[:, None], postures), between_s)
+    K = _correlation(postures[:, None] - postures, between_s)
     K[np.diag_indices(len(K))] = 1.0
-    k = revisits.correlation * _kernel(_distance(postures, posture), ages_s)
+    k = _correlation(postures - posture, ages_s)
     weights = np.linalg.solve(K, k)
     return float(max(1 - weights.sum(), 1e-3) ** 2 / (1 - weights @ k))
 
@@ -172,47 +152,22 @@ def revisit_inflation(revisits: RevisitCorrelation | None, novelty: float) -> fl
 
 
 def update_revisits(
-    revisits: RevisitCorrelation | None,
-    posture: Array,
-    *,
-    novelty: float,
-    blocks: Array,
-    systematic: float = 0.0,
+    revisits: RevisitCorrelation | None, posture: Array, *, novelty: float, systematic: float = 0.0
 ) -> RevisitCorrelation:
-    """Add a frame.
-
-    Args:
-        revisits: at the time of the frame; None: it is the first.
-        posture: (r,) its joint angles [rad].
-        novelty: its `frame_novelty`.
-        blocks: (B,) its sums of residuals, from `design_effect`.
-        systematic: systematic share of its variance.
-    """
+    """Add a frame at a posture (r,) [rad], with a systematic share of its variance."""
     far = systematic + (1 - systematic) * _FAR_CORRELATION
-    unit = (blocks / max(float(np.linalg.norm(blocks)), 1e-9)).astype(np.float32)[None]
     if revisits is None:
-        return RevisitCorrelation(
-            posture[None], np.zeros(1), unit, independent=1.0, far_correlation=far
-        )
-    near = _kernel(_distance(revisits.postures, posture), revisits.ages_s)
-    weight = float(near @ near)
-    measured = float(near @ (revisits.blocks @ unit[0])) / max(weight, 1e-9)
-    c = revisits.correlation + PACE * weight / (1 + weight) * (measured - revisits.correlation)
+        return RevisitCorrelation(posture[None], np.zeros(1), 1.0, far)
     return RevisitCorrelation(
         postures=np.concatenate([revisits.postures, posture[None]])[-_REMEMBERED:],
         ages_s=np.append(revisits.ages_s, 0.0)[-_REMEMBERED:],
-        blocks=np.concatenate([revisits.blocks, unit])[-_REMEMBERED:],
-        correlation=min(max(c, 0.0), 0.95),
         independent=revisits.independent + novelty,
         far_correlation=revisits.far_correlation + PACE * (far - revisits.far_correlation),
     )
 
 
-def _distance(a: Array, b: Array) -> Array:
-    """Compute the Euclidean distance of postures (..., r) [rad], so that K is positive definite."""
-    return np.linalg.norm(a - b, axis=-1)
-
-
-def _kernel(distance: Array, elapsed_s: Array) -> Array:
+def _correlation(between_postures: Array, elapsed_s: Array) -> Array:
+    """Compute the correlation of match errors from differences of postures (..., r) [rad]."""
+    distance = np.linalg.norm(between_postures, axis=-1)  # Euclidean: K is positive definite
     shape = np.exp(-distance / _WINDOWS_RAD) + np.exp(-((distance / _SURFACES_RAD) ** 2))
-    return shape / 2 * np.exp(-elapsed_s / _FADING_S)
+    return _SAME_CORRELATION * shape / 2 * np.exp(-elapsed_s / _FADING_S)

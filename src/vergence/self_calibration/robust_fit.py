@@ -93,7 +93,7 @@ def robust_fit(
     S = M @ C @ M.T
     e = y - A @ (S @ _reweighted(y, A, S, M @ start))
     weights, variance = tukey_weights(e), noise_variance(e)
-    inflation, blocks = design_effect(e / np.sqrt(variance), pixels, size, prior_design_effect)
+    inflation, filled = design_effect(e / np.sqrt(variance), pixels, size, prior_design_effect)
     # The unknowns absorb most of a systematic error, so residuals do not show it.
     noise, field = variance * inflation, systematic_inflation(weights, found.systematic)
     weighted = A * (weights / (noise + field))[:, None]
@@ -107,7 +107,7 @@ def robust_fit(
         inliers=float((weights > INLIER).sum()),
         match_scale=float(np.sqrt(variance / (1 - found.systematic))),
         design_effect=inflation,
-        blocks=blocks,
+        filled=filled,
         systematic=field / (noise + field),
         misfit=misfit + float(2 * b @ w - w @ N @ w),
     )

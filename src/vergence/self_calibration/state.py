@@ -93,8 +93,8 @@ class Evidence:
     """Noise of the residuals over their assumed noise."""
     design_effect: float
     """Variance inflation by errors that neighbouring matches share."""
-    blocks: Array
-    """(B,) sums of residuals in blocks of the left image, from `match_noise.design_effect`."""
+    filled: float
+    """Share of the image that inliers fill."""
     systematic: float
     """Share of the measurement's variance that is due to systematic lens errors."""
     misfit: float
