@@ -21,7 +21,7 @@ from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_named
 from vergence.self_calibration.filter import update
 from vergence.self_calibration.frame import estimate_from_matches
-from vergence.self_calibration.kalman import evidence_about, predict
+from vergence.self_calibration.kalman import predict
 from vergence.self_calibration.prior import DRIFT, UNCALIBRATED, tolerance_covariance
 from vergence.self_calibration.state import FilterState, PriorSnapshot
 from vergence.twin.model import nominal_head
@@ -131,27 +131,6 @@ def test_slow_motion_of_a_head_with_a_wide_prior_does_not_seem_to_show_its_scale
     assert squared_distance(state, truth) < chi2.isf(1e-4, len(state.names))
 
 
-def test_evidence_about_another_head_says_the_same():
-    head, rng = head_of(0), np.random.default_rng(0)
-    state, angles = begin(head), postures(1, rng)[0]
-    seen = matches(head, angles, room(300, rng), noise_px=NOISE_PX, rng=rng)
-    says = estimate_from_matches(state, seen, angles).evidence
-    assert says is not None
-    change = np.zeros(len(says.vector))
-    change[: len(state.names)] = 1e-5 * rng.normal(size=len(state.names))
-    moved = replace(state, head=change_named(head, state.names, change[: len(state.names)]))
-    other = evidence_about(moved, says, head)
-    # The same change fits best, from where the head is now, and as well.
-    expected = says.information @ change
-    np.testing.assert_allclose(
-        says.vector - other.vector, expected, atol=1e-3 * np.abs(expected).max()
-    )
-    rest = [
-        e.misfit - e.vector @ np.linalg.pinv(says.information) @ e.vector for e in (says, other)
-    ]
-    assert rest[1] == pytest.approx(rest[0], rel=1e-3)
-
-
 def learned(frames: int, *, joint_std_deg: float, told_deg: float) -> FilterState:
     """Return what frames teach of a head that is as calibrated, whose readings are told a noise."""
     head, rng = head_of(0), np.random.default_rng(4)
@@ -227,14 +206,3 @@ def test_in_a_pause_all_that_is_known_fades():
     np.testing.assert_allclose(later.revisits.ages_s, state.revisits.ages_s + pause_s)
     assert later.revisits.independent < 0.5 * state.revisits.independent
     assert later.time_s == state.time_s + pause_s
-
-
-def test_time_goes_on_where_frames_are_linearised_again():
-    head, rng, state = head_of(0), np.random.default_rng(0), begin(head_of(0))
-    for k, angles in enumerate(postures(9, rng)):
-        seen = matches(head, angles, room(200, rng), noise_px=NOISE_PX, rng=rng)
-        readings = angles + rng.normal(0, JOINT_STD_RAD, 4)
-        state = update(state, estimate_from_matches(state, seen, readings))
-        assert state.time_s == pytest.approx(0.3 * k)
-        assert state.revisits.ages_s == pytest.approx(0.3 * np.arange(k, -1, -1))
-        state = predict(state, 0.3)

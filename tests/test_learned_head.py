@@ -1,7 +1,6 @@
 """What self-calibration has learned is a calibration, with its accuracy, of all cameras."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -21,14 +20,12 @@ from vergence.geometry.parameter_names import PINHOLE
 from vergence.geometry.parameters import (
     parameter_names,
 )
-from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import boxminus, pose, rotation
 from vergence.self_calibration.filter import learned_head, update
 from vergence.self_calibration.frame import estimate_from_matches
 from vergence.self_calibration.kalman import predict
-from vergence.self_calibration.prior import MOVED, USUAL, initial_state, tolerance_covariance
+from vergence.self_calibration.prior import initial_state
 from vergence.stereo.extrinsics import T_rcam_lcam, rebase
-from vergence.stereo.uncertainty import locate_jointly
 
 
 def test_a_learned_head_is_a_calibration_with_its_accuracy(tmp_path):
@@ -74,47 +71,6 @@ def test_other_cameras_follow_the_main_one_of_their_eye(stated):
         assert np.linalg.norm(boxminus(*mountings)[:3]) < np.radians(0.15)
     apart = (T_narrow_wide(each, "left") for each in (learned, truth))
     assert np.linalg.norm(boxminus(*apart)[:3]) < np.radians(0.05)
-
-
-@pytest.mark.parametrize("stated", [True, False])
-def test_cameras_that_do_not_see_the_scene_stay_as_uncertain_as_they_were(stated):
-    head = four_cameras()
-    if stated:
-        names = parameter_names(head)
-        std = 1e-3 * (1 + np.arange(len(names)))
-        head = replace(head, accuracy=Accuracy("bundle", names, np.diag(std**2)))
-    state = initial_state(head)
-    learned = learned_head(state).accuracy
-    assert learned is not None
-    own = [k for k, n in enumerate(learned.parameters) if n.startswith("left_narrow.")]
-    assert len(own) == len([n for n in parameter_names(head) if n.startswith("left_narrow.")])
-    stds = dict(zip(learned.parameters, np.sqrt(np.diag(learned.covariance)), strict=True))
-    if stated:
-        assert set(learned.parameters) == set(parameter_names(head))
-        expected = dict(zip(parameter_names(head), 1e-3 * (1 + np.arange(len(stds))), strict=True))
-        moved = np.sqrt(np.diag(tolerance_covariance(head, state.names, MOVED)))
-        for name, since in zip(state.names, moved, strict=True):
-            expected[name] = np.hypot(expected[name], since)
-        assert stds == pytest.approx(expected)
-    else:
-        assert stds["left_narrow.cx"] == pytest.approx(USUAL.centre_px)
-    points = np.array([[0.6, -0.03, 0.0], [0.8, 0.02, 0.05]])
-    pair = ("left_narrow", "right_narrow")
-    left, right = (project_point(head, name, np.zeros(4), points) for name in pair)
-    seen: dict[str, Any] = {"left": left, "right": right, "joints": np.zeros(4), "cameras": pair}
-    others = [k for k, name in enumerate(state.names) if "narrow" not in name]
-    P = len(others)
-    of_both = np.zeros((P + 4, P + 4))
-    of_both[:P, :P] = state.covariance[np.ix_(others, others)]
-    names = [state.names[k] for k in others]
-    given: dict[str, Any] = {"parameters": names, "covariance": of_both, "pixel_std_px": 0.1}
-    taken_as_exact, learned = (
-        locate_jointly(each, **seen, **given).covariance
-        for each in (replace(head, accuracy=None), learned_head(state))
-    )
-    least, *_, most = np.linalg.eigvalsh(learned - taken_as_exact).T
-    assert (least > -1e-12).all()
-    assert (most > 1e-8).all()  # 0.1 mm and more
 
 
 def test_what_is_learned_from_a_void_calibration_is_void():

@@ -14,7 +14,7 @@ from vergence.geometry.camera import normalise, project
 from vergence.geometry.head_accuracy import Accuracy, LensAccuracy
 from vergence.geometry.kinematics import EYES, straight_gaze
 from vergence.geometry.lens import COEFFICIENTS
-from vergence.geometry.parameters import change_named, parameter_names
+from vergence.geometry.parameters import change_named
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import transform
 from vergence.self_calibration.prior import initial_state
@@ -174,30 +174,6 @@ def test_epipolar_lines_of_a_calibration_without_covariance_fit_to_a_third_of_a_
         found = epipolar_residuals(lenses, T, left, right)
         squares.append((found.residuals**2).mean())
     assert np.sqrt(np.mean(squares)) == pytest.approx(0.3, rel=0.3)
-
-
-def test_a_stated_covariance_without_focal_lengths_leaves_a_prior_that_can_be_inverted():
-    head = head_of(0)
-    names = tuple(name for name in parameter_names(head) if name.endswith("_gain"))
-    accuracy = Accuracy(method="bundle", parameters=names, covariance=1e-8 * np.eye(len(names)))
-    C = initial_state(replace(head, accuracy=accuracy)).covariance
-    std = np.sqrt(np.diag(C))
-    assert np.linalg.eigvalsh(C / np.outer(std, std))[0] > 1e-4
-
-
-def test_gains_of_readings_that_count_against_each_other_err_alike_too():
-    """Vergence turns the eyes against each other: the same error of its gain is of both signs."""
-    state = initial_state(head_of_kind("version and vergence", np.random.default_rng(0)))
-    std = np.sqrt(np.diag(state.covariance))
-
-    def of_both_eyes(reading: str) -> float:
-        left, right = (
-            k for k, name in enumerate(state.names) if name.endswith(f"_factor_{reading}")
-        )
-        return state.covariance[left, right] / (std[left] * std[right])
-
-    assert of_both_eyes("version") == pytest.approx(0.5, abs=0.02)
-    assert of_both_eyes("vergence") == pytest.approx(-0.5, abs=0.02)
 
 
 @pytest.mark.parametrize(("stated_deg", "taken_deg"), [(0.0, 0.2), (0.01, 0.05), (0.1, 0.1)])

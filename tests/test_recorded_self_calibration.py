@@ -24,7 +24,6 @@ from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics, Side, pan_tilt
 from vergence.geometry.parameters import change_named
-from vergence.self_calibration import recorded as recorded_self_calibration
 from vergence.self_calibration.prior import MOVED, USUAL, Changed, initial_state
 from vergence.self_calibration.recorded import self_calibrate
 
@@ -155,19 +154,6 @@ def test_a_recording_in_which_one_eye_was_covered_returns_the_calibration(tmp_pa
     assert found.head is HEAD
     assert found.learned == 0
     assert any("showed enough of the scene" in each for each in texts(found.findings))
-
-
-def test_changes_are_along_the_axes_of_the_standard_deviations_beside_them():
-    """Those of the bases and the eyes as they are, however far the offsets of the joints turn."""
-    eyes: dict[Side, tuple[Joint, ...]] = {
-        eye: pan_tilt(eye, pan_offset_rad=1.0, tilt_offset_rad=0.5) for eye in EYES
-    }
-    before = initial_state(replace(HEAD, kinematics=Kinematics(eyes)))
-    names = "T_rbase_lbase.ry", "left_wide.T_eye_cam.tx"
-    given: dict[str, float] = dict(zip(names, (0.01, 0.002), strict=True))
-    after = replace(before, head=change_named(before.head, names, np.array([0.01, 0.002])))
-    found = recorded_self_calibration._learned_parameters(before, after)
-    assert all(each.change == pytest.approx(given.get(each.name, 0.0)) for each in found)
 
 
 def test_a_head_that_is_not_as_calibrated_is_learned_anew(recorded):

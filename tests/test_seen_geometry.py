@@ -195,18 +195,6 @@ def test_what_a_driver_writes_into_its_images_later_does_not_reach_the_keyframe(
     np.testing.assert_array_equal(key.images[0], before)
 
 
-def test_readings_in_one_array_that_is_used_again_teach_as_others_do(moving):
-    joints, neck = np.zeros(4), np.zeros(3)
-    again = fresh = initial_visual_geometry(HEAD)
-    for _, each in moving[:6]:
-        joints[:] = each.eye_angles
-        neck[:] = each.neck_angles
-        fresh = update_geometry(fresh, each)
-        again = update_geometry(again, replace(each, eye_angles=joints, neck_angles=neck))
-    assert again.state.frames == fresh.state.frames > 0
-    assert again.keyframe_neck is not neck
-
-
 def test_a_change_is_reported_once(moving):
     geometry = update_geometry(initial_visual_geometry(HEAD), moving[0][1])
     reported = replace(geometry, state=replace(geometry.state, change="camera turned"))

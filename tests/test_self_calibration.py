@@ -28,7 +28,6 @@ from vergence.geometry.kinematics import Side
 from vergence.geometry.parameters import (
     boxplus,
     change_between,
-    change_named,
     parameter_names,
     parameter_values,
 )
@@ -38,7 +37,7 @@ from vergence.self_calibration import prior
 from vergence.self_calibration.filter import learned_head, update
 from vergence.self_calibration.frame import estimate_from_matches, locate_in_frame
 from vergence.self_calibration.kalman import predict
-from vergence.self_calibration.prior import USUAL, initial_state
+from vergence.self_calibration.prior import initial_state
 from vergence.self_calibration.residuals import epipolar_residuals, pair_coordinates
 from vergence.stereo.extrinsics import T_rcam_lcam
 from vergence.vision.matching.scene_features import Matches
@@ -229,28 +228,6 @@ def test_readings_before_a_gear_teach_what_those_behind_it_do():
     np.testing.assert_allclose(np.sqrt(np.diag(other.covariance)), std, rtol=1e-3)
     stds = [reading_stds(learned_head(each)) for each in learned]
     np.testing.assert_allclose(stds[1], gear * stds[0], rtol=1e-3)
-
-
-def test_a_vergence_that_is_counted_wrongly_is_learned_without_a_stated_covariance():
-    """Joints with several readings have a factor of each in place of a gain."""
-    rng = np.random.default_rng(4)
-    head = replace(head_of_kind("version and vergence", rng), accuracy=None)
-    factors = [n for n in parameter_names(head) if n.endswith("_factor_vergence")]
-    truth = change_named(
-        head, factors, 0.03 * np.array([parameter_values(head)[n] for n in factors])
-    )
-    state, points = initial_state(head), room(500, rng)
-    assert set(factors) <= set(state.names)
-    readings = len(head.kinematics.readings)
-    for angles in rng.uniform(-0.25, 0.25, (20, readings)):
-        given = angles + rng.normal(0, JOINT_STD_RAD, readings)
-        seen = matches(truth, angles, points, noise_px=NOISE_PX, rng=rng, cameras=state.cameras)
-        state = predict(update(state, estimate_from_matches(state, seen, given)), 0.3)
-    rows = [state.names.index(n) for n in factors]
-    error = change_between(truth, state.head, state.names)[rows]
-    std = np.sqrt(np.diag(state.covariance))[rows]
-    assert (np.abs(error) < 4 * std).all()
-    assert (std < 0.9 * 0.5 * USUAL.gain).all()
 
 
 def test_the_first_frames_are_linearised_again_at_their_end_though_one_was_not_believed(

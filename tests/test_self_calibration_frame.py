@@ -1,7 +1,5 @@
 """One frame of self-calibration that shows little: how far it is believed, and what is left."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -69,37 +67,3 @@ def test_the_fewer_matches_there_are_the_nearer_are_readings_to_the_prior():
         open_before = now_open
     np.testing.assert_allclose(open_before, 1)
     np.testing.assert_array_equal(found.joints, readings)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_a_small_part_of_the_image_tells_of_tilt_but_not_of_vergence(seed: int):
-    """Things at unknown depth are displaced along rows, as by a vergence."""
-    head, _, readings, seen = seen_at_random(seed)
-    state = begin(head)
-    patch = (np.abs(seen.left - [320, 240]) < 25).all(axis=1)
-    whole, part = (
-        estimate_from_matches(state, each, readings) for each in (seen, some(seen, patch))
-    )
-    tilts, pans = [1, 3], [0, 2]
-    by_whole, by_part = left_open(state, whole), left_open(state, part)
-    np.testing.assert_allclose(by_part[tilts], by_whole[tilts], rtol=0.03)
-    assert (by_part[pans] > 0.955).all()
-    assert (by_whole[pans] < 0.955).all()
-
-
-def test_a_frame_shows_enough_from_one_and_a_half_degrees_of_freedom_on():
-    """Of the five of the pair: what was known before leaves fewer and fewer to be shown."""
-    head, angles, _, seen = seen_at_random(0)
-    state, shown, statuses = begin(head), [], []
-    state = replace(state, covariance=1e-12 * state.covariance)
-    for std_rad in np.geomspace(1e-5, 1e-3, 25):
-        found = estimate_from_matches(
-            replace(state, joint_std_rad=std_rad), some(seen, slice(60)), angles
-        )
-        assert found.evidence is not None
-        shown.append(np.trace(found.covariance @ found.evidence.information))
-        statuses.append(found.status)
-    for degrees, status in zip(shown, statuses, strict=True):
-        assert status == ("seen" if degrees > 1.5 else "little seen")
-    assert any(1.2 < degrees < 1.5 for degrees in shown)
-    assert any(1.5 < degrees < 2 for degrees in shown)
