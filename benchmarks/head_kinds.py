@@ -7,7 +7,7 @@ of each gain, and of located points. The held-out error of points is compared wi
 With --images the heads' images are drawn and the corners detected; else corners are simulated.
 
     python benchmarks/head_kinds.py --heads 20 --kinds "shared tilt, pan" fisheye
-    python benchmarks/head_kinds.py --heads 8 --images --corners runs/corners
+    python benchmarks/head_kinds.py --heads 8 --images
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ import os
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices; before numpy
 
@@ -267,30 +266,16 @@ def points(
             return
 
 
-def recorded(
-    head: HeadCalibration, rng: np.random.Generator, *, images: bool, kept: Path | None
-) -> Observations:
-    """Return simulated corners and readings or, of images, what is found in them.
-
-    Corners that were found before are read from a file, and new ones kept in it.
-    """
+def recorded(head: HeadCalibration, rng: np.random.Generator, *, images: bool) -> Observations:
+    """Simulate corners and readings, or detect corners in drawn images."""
     arranged = arrangement(head, rng)
     observed = observe(head, rng, NOISE, **vars(arranged))
     if not images:
         return observed
     noise = np.random.default_rng(rng.integers(2**32))
-    if kept is not None and kept.exists():
-        with np.load(kept) as file:
-            corners = dict(file)
-    else:
-        corners = dict(
-            found_corners(
-                head, noise, T_lbase_target=arranged.T_lbase_target, joints=arranged.joints
-            )
-        )
-        if kept is not None:
-            kept.parent.mkdir(parents=True, exist_ok=True)
-            np.savez_compressed(kept, **corners)  # pyright: ignore[reportArgumentType]
+    corners = found_corners(
+        head, noise, T_lbase_target=arranged.T_lbase_target, joints=arranged.joints
+    )
     return replace(observed, board=CHARUCO, corners=corners, systematic_px=SYSTEMATIC_PX)
 
 
@@ -299,7 +284,6 @@ def main(
     heads: int = 20,
     seed: int = 0,
     images: bool = False,
-    corners: Path | None = None,
     model: LensOption = "auto",
 ) -> None:
     """Print how many regions hold the truth.
@@ -309,7 +293,6 @@ def main(
         heads: of each kind.
         seed: of the first one.
         images: draw images and detect the corners.
-        corners: folder that keeps the corners detected in images.
         model: lens model of the calibration.
     """
     everything: list[bool] = []
@@ -320,9 +303,8 @@ def main(
             rng = np.random.default_rng([k, KINDS.index(kind)])
             head = head_of(kind, rng)
             lens: LensOption = "rational" if kind == "rational" else model
-            kept = None if corners is None else corners / f"{kind}, {k}.npz"
             try:
-                result = calibrate(recorded(head, rng, images=images, kept=kept), lens=lens)
+                result = calibrate(recorded(head, rng, images=images), lens=lens)
             except VergenceError as error:
                 verdicts["refused"] += 1
                 print(f"   {kind}, seed {k}: {error}", flush=True)

@@ -174,7 +174,7 @@ def test_images_that_do_not_fit_the_calibration_are_refused(pair, drawn, shape, 
 
 
 def test_an_image_that_was_not_read_is_refused(pair, drawn):
-    with pytest.raises(VergenceError, match="one of them is None: it was not read"):
+    with pytest.raises(VergenceError, match="found None: the file was not read"):
         dense_depth(pair, drawn[0], None)  # pyright: ignore[reportArgumentType]
 
 

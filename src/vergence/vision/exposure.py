@@ -22,11 +22,11 @@ _MIDDLE = 128
 def checked_image(image: np.ndarray, what: str) -> np.ndarray:
     """Return an image (H, W), (H, W, 1) or (H, W, 3) uint8; VergenceError for anything else."""
     if image is None:  # as cv2.imread answers
-        raise VergenceError(f"{what} is of two images; one of them is None: it was not read.")
+        raise VergenceError(f"{what} takes images; found None: the file was not read.")
     image = np.asarray(image)
     if image.dtype != np.uint8 or image.shape[2:] not in ((), (1,), (3,)) or image.ndim < 2:
         raise VergenceError(
-            f"{what} is of RGB (H, W, 3) or grey (H, W) images of uint8; found an array of shape "
+            f"{what} takes images of uint8, RGB (H, W, 3) or grey (H, W); found an array of shape "
             f"{image.shape} of {image.dtype}."
         )
     return image

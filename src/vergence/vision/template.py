@@ -17,7 +17,7 @@ from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera
 from vergence.vision.detector import Detection, Detector, windows
-from vergence.vision.exposure import grey_levels
+from vergence.vision.exposure import checked_image, grey_levels
 
 LEAST_SIDE_PX = 8
 """Smallest side of a template [px]; smaller pictures resemble too many places of an image."""
@@ -58,7 +58,12 @@ def template_detector(
         VergenceError: the picture has another form, too little contrast or only stripes, no size is
             large enough, or the least score is not between 0 and 1.
     """
-    grey = _checked(picture)
+    grey = grey_levels(checked_image(picture, "A template"))
+    if not all((slope != 0).any() for slope in np.gradient(grey.astype(float))):
+        raise VergenceError(
+            "This template is the same all along its width or its height, so that its place in "
+            "that direction is undetermined."
+        )
     if not 0 < least_score < 1:
         raise VergenceError(f"The least score must be between 0 and 1, found {least_score:g}.")
     templates = _templates(grey, scales)
@@ -77,33 +82,6 @@ def template_detector(
         return None
 
     return detect
-
-
-def _checked(picture: np.ndarray) -> np.ndarray:
-    """Return a picture in grey (h, w) uint8; VergenceError if it cannot be a template."""
-    if picture.dtype != np.uint8 or not (picture.ndim == 2 or picture.shape[2:] == (3,)):
-        raise VergenceError(
-            "A template is a picture (h, w, 3) RGB or (h, w) grey of uint8, found "
-            f"{picture.shape} of {picture.dtype}."
-        )
-    grey = grey_levels(picture)
-    height, width = grey.shape
-    if min(grey.shape) < LEAST_SIDE_PX:
-        raise VergenceError(
-            f"A template has sides of at least {LEAST_SIDE_PX} px, found {width} x {height} px."
-        )
-    contrast = float(grey.std())
-    if contrast < LEAST_CONTRAST:
-        raise VergenceError(
-            f"This template has a contrast of {contrast:.1f} grey levels (standard deviation); at "
-            f"least {LEAST_CONTRAST:g} are needed to recognise it."
-        )
-    if not all((slope != 0).any() for slope in np.gradient(grey.astype(float))):
-        raise VergenceError(
-            "This template is the same all along its width or its height, so that its place in "
-            "that direction is undetermined."
-        )
-    return grey
 
 
 def _templates(grey: np.ndarray, scales: Sequence[float]) -> list[np.ndarray]:
