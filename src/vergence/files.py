@@ -21,8 +21,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pydantic import TypeAdapter, ValidationError
-
 from vergence.errors import VergenceError, explain
 
 if sys.platform != "win32":
@@ -101,6 +99,8 @@ def read_json(path: Path, kind: type[T], what: str) -> T:
 
 def validated(content: Any, kind: type[T]) -> T:
     """Convert parsed content to a type; ValueError names the first invalid field."""
+    from pydantic import TypeAdapter, ValidationError  # `vergence --help` does not wait for it
+
     try:
         return TypeAdapter(kind).validate_python(content)
     except ValidationError as error:
@@ -291,6 +291,8 @@ def as_json(value: Any, digits: int = 17) -> str:
 
     `digits`: significant digits of its numbers; 17 distinguish all.
     """
+    from pydantic import TypeAdapter
+
     text = TypeAdapter(type(value)).dump_json(value, indent=1).decode()
     if digits < 17:
         rounded = json.loads(text, parse_float=lambda number: float(f"{float(number):.{digits}g}"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import vergence as vg
 from vergence.cli.options import (
     OptionalBoard,
     OptionalFloat,
@@ -13,8 +14,10 @@ from vergence.cli.options import (
     Points,
     Positional,
 )
+from vergence.cli.outputs import check_outputs
 from vergence.cli.report import Report
 from vergence.cli.terminal import progress_bars
+from vergence.files import results_folder
 
 
 def plan(
@@ -48,11 +51,9 @@ def plan(
     from vergence.accuracy.plan import plan as plan_views
     from vergence.accuracy.plan_source import head_and_board
     from vergence.cli.accuracy_reports import plan_report
-    from vergence.cli.outputs import check_outputs
-    from vergence.data.description import DESCRIPTION, FRAMES
     from vergence.viewer.plots.accuracy import save_plan
 
-    check_outputs(json, figure=figure, inputs=[source, source / DESCRIPTION, source / FRAMES])
+    check_outputs(json, figure=figure, inputs=[source])
     limits_rad = np.radians(limits_deg[0] if len(limits_deg) == 1 else limits_deg)
     with progress_bars() as progress:
         head, shown = head_and_board(source, board, limits_rad, progress)
@@ -114,12 +115,9 @@ def design(
     from vergence.accuracy.design_chunks import sweep
     from vergence.accuracy.design_settings import AXES, merged_settings
     from vergence.cli.design_report import RESULTS, TITLE, write_design
-    from vergence.cli.outputs import check_outputs
-    from vergence.files import results_folder
     from vergence.parallel import process_count
 
-    inputs = [settings] if settings else []
-    check_outputs(folder=out, names=RESULTS, title=f"# {TITLE}", inputs=inputs)
+    check_outputs(folder=out, names=RESULTS, title=f"# {TITLE}", inputs=[settings])
     process_count(jobs)
     axes = {name: options[name] for name in AXES if options[name] is not None}
     chosen = merged_settings(settings, axes, at_m=at_m)
@@ -160,14 +158,8 @@ def budget(
 
     from vergence.accuracy.motion_budget import motion_budgets, stated_sources
     from vergence.cli.accuracy_reports import budget_report
-    from vergence.cli.outputs import check_outputs
-    from vergence.data.description import DESCRIPTION, FRAMES
-    from vergence.geometry.head import load_head
 
-    inputs = [Path(motion) / DESCRIPTION, Path(motion) / FRAMES]
-    inputs += [calibration] if calibration else []
-    inputs += [Path(profile)] if profile else []
-    check_outputs(json, figure=figure, inputs=inputs)
+    check_outputs(json, figure=figure, inputs=[motion, calibration, profile])
     points = np.array(at or AHEAD)
     # The twin needs OpenGL, and a real head does not.
     if calibration is None:
@@ -175,7 +167,7 @@ def budget(
 
         head = nominal_head("2.8mm")
     else:
-        head = load_head(calibration)
+        head = vg.load_head(calibration)
     if profile is None:
         sources = stated_sources(head, noise)
     else:

@@ -7,10 +7,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
+import vergence as vg
 from vergence.cli.options import OptionalPath, Positional
+from vergence.cli.outputs import check_outputs
 from vergence.cli.report import Report
 from vergence.cli.terminal import invocation, progress_bars
 from vergence.errors import VergenceError, listed
+from vergence.files import results_folder
 
 
 def calibrate(
@@ -51,22 +54,16 @@ def calibrate(
         calibration_report,
         write_calibration_report,
     )
-    from vergence.cli.outputs import check_outputs
-    from vergence.data.description import DESCRIPTION, FRAMES
-    from vergence.data.reader import load_dataset
-    from vergence.files import results_folder
-    from vergence.findings import select
-    from vergence.geometry.head import save_head
 
-    inputs = [dataset / DESCRIPTION, dataset / FRAMES]
     void_out = out.with_name(f"{out.stem}.void{out.suffix}")
-    title = f"# {TITLE}"
-    check_outputs(out, void_out, json, folder=report, names=RESULTS, title=title, inputs=inputs)
-    data = load_dataset(dataset)
+    check_outputs(
+        out, void_out, json, folder=report, names=RESULTS, title=f"# {TITLE}", inputs=[dataset]
+    )
+    data = vg.load_dataset(dataset)
     with progress_bars(report) as progress, results_folder(report):
         result = calibrate_dataset(data, method=method, lens=lens, progress=progress)
         written = void_out if result.accuracy.void and out.exists() else out
-        save_head(result.head, written)
+        vg.save_head(result.head, written)
         found = calibration_report(result)
         found.write_json(json)
         if report is not None:
@@ -74,7 +71,7 @@ def calibrate(
     files = f"Wrote {written}" + (f"; {out} is as it was." if written != out else ".")
     if report is not None:
         files += f"\nTo view the images: {invocation('rerun', report / 'dataset.rrd')}"
-    elif (count := len(select(result.findings, "void", "warning"))) > 1:
+    elif (count := sum(each.severity != "note" for each in result.findings)) > 1:
         files += f"\nTo read all {count} warnings, add --report FOLDER."
     return replace(found, files=files)
 
@@ -101,17 +98,12 @@ def self_calibrate(
             that the accuracy that it states no longer holds.
     """
     from vergence.cli.evaluation_reports import self_calibration_report
-    from vergence.cli.outputs import check_outputs
-    from vergence.data.description import DESCRIPTION, FRAMES
-    from vergence.data.reader import load_dataset
-    from vergence.geometry.head import load_head, save_head
-    from vergence.self_calibration.recorded import self_calibrate
 
-    check_outputs(out, json, inputs=[dataset / DESCRIPTION, dataset / FRAMES, calibration])
-    head, data = load_head(calibration), load_dataset(dataset)
+    check_outputs(out, json, inputs=[dataset, calibration])
+    head, data = vg.load_head(calibration), vg.load_dataset(dataset)
     with progress_bars() as progress:
-        found = self_calibrate(data, head, changed=changed, progress=progress)
-    save_head(found.head, out)
+        found = vg.self_calibrate(data, head, changed=changed, progress=progress)
+    vg.save_head(found.head, out)
     report = self_calibration_report(found)
     report.write_json(json)
     return replace(report, files=f"Wrote {out}.")
@@ -126,8 +118,6 @@ def evaluate(calibration: Positional[Path], /, *, truth: Path, json: OptionalPat
         json: JSON file of all errors.
     """
     from vergence.cli.evaluation_reports import evaluation_report
-    from vergence.cli.outputs import check_outputs
-    from vergence.geometry.head import load_head
     from vergence.twin.evaluation import evaluate as compare
     from vergence.twin.truth import load
 
@@ -137,7 +127,7 @@ def evaluate(calibration: Positional[Path], /, *, truth: Path, json: OptionalPat
             f"--truth is a file that `vergence record` writes into a dataset, and {truth} is a "
             f"folder: give {truth / 'truth.json'}."
         )
-    report = evaluation_report(compare(load_head(calibration, allow_void=True), load(truth)))
+    report = evaluation_report(compare(vg.load_head(calibration, allow_void=True), load(truth)))
     report.write_json(json)
     return report
 
@@ -156,17 +146,14 @@ def export(
         format: Format; ros writes a folder, the others a file.
         out: File or folder to write.
     """
-    from vergence.cli.outputs import check_outputs
-    from vergence.geometry.head import load_head
     from vergence.interchange import ros
-    from vergence.interchange.formats import export_head
 
-    head = load_head(calibration)
+    head = vg.load_head(calibration)
     if format == "ros":
         check_outputs(folder=out, names=map(ros.file_name, head.cameras), inputs=[calibration])
     else:
         check_outputs(out, inputs=[calibration])
-    export_head(head, out, format)
+    vg.export_head(head, out, format)
     return Report("Export", (), None, files=f"Wrote {out}.")
 
 
@@ -186,18 +173,16 @@ def import_(
         out: JSON file of the calibration.
         start: Calibration that supplies what kalibr and ros files do not contain.
     """
-    from vergence.cli.outputs import check_outputs
-    from vergence.geometry.head import load_head, save_head
     from vergence.interchange import ros
-    from vergence.interchange.formats import import_head, unchanged_lenses
+    from vergence.interchange.formats import unchanged_lenses
 
     if format == "opencv" and start is not None:
         raise VergenceError("opencv files hold the whole head; leave --start out.")
     read = ros.files(path) if format == "ros" else [path]
-    check_outputs(out, inputs=[*read, start] if start else read)
-    template = None if start is None else load_head(start)
-    head = import_head(path, format, template=template)
-    save_head(head, out)
+    check_outputs(out, inputs=[*read, start])
+    template = None if start is None else vg.load_head(start)
+    head = vg.import_head(path, format, template=template)
+    vg.save_head(head, out)
     kept = unchanged_lenses(head, template) if template is not None else ()
     text = (f"{path} leaves the lenses of {listed(kept)} as {start} has them.",) if kept else ()
     return Report("Import", text, None, files=f"Wrote {out}.")

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
+import vergence as vg
 from vergence.cli.options import (
     Flag,
     Geometry,
@@ -22,9 +23,11 @@ from vergence.cli.options import (
     Positional,
     Scene,
 )
+from vergence.cli.outputs import check_outputs
 from vergence.cli.report import Report
 from vergence.cli.terminal import invocation, progress_bars
 from vergence.errors import VergenceError
+from vergence.files import as_json, results_folder
 
 if TYPE_CHECKING:
     from vergence.demos.experiment import Experiment
@@ -61,7 +64,6 @@ def reproduce(
         floor: Compare also with self-calibration that is given the true head.
         jobs: Processes on this machine; -1: one for each core.
     """
-    from vergence.cli.outputs import check_outputs
     from vergence.paper.report import TITLE
     from vergence.paper.reproduce import RESULTS, ReproductionSettings
     from vergence.paper.reproduce import reproduce as replay_figures
@@ -82,8 +84,6 @@ def reproduce(
     )
     process_count(jobs)
     check_outputs(folder=out, names=RESULTS, title=TITLE)
-    if (out / "statistics.json").exists():
-        print(f"Replacing the results of an earlier run in {out}.")
     with progress_bars(out) as progress:
         done = replay_figures(settings, jobs=jobs, progress=progress)
     recordings = [f"fig{number:02d}.rrd" for number in sorted(done.replays)]
@@ -247,19 +247,14 @@ def depth(
     if not 1 <= pairs <= MOST_PAIRS:
         raise VergenceError(f"Asked for {pairs} pairs; from 1 to {MOST_PAIRS} can be made.")
     from vergence.cli.depth_report import RESULTS, TITLE, write_depth
-    from vergence.cli.outputs import check_outputs
-    from vergence.data.reader import load_dataset
-    from vergence.files import results_folder
-    from vergence.geometry.head import load_head
 
-    inputs = [calibration] if calibration else []
-    check_outputs(folder=out, names=RESULTS, title=f"# {TITLE}", inputs=inputs)
-    head = load_head(calibration) if calibration else None
+    check_outputs(folder=out, names=RESULTS, title=f"# {TITLE}", inputs=[calibration])
+    head = vg.load_head(calibration) if calibration else None
     with progress_bars(out) as progress, results_folder(out):
         if dataset is not None and head is not None:
             from vergence.self_calibration.dense_pairs import dataset_depth
 
-            source = nullcontext(dataset_depth(load_dataset(dataset), head, pairs, geometry))
+            source = nullcontext(dataset_depth(vg.load_dataset(dataset), head, pairs, geometry))
         else:
             from vergence.demos.depth import twin_depth
             from vergence.twin.profile import load_profile
@@ -286,15 +281,12 @@ def _experiment(
     *figures: str,
 ) -> Report:
     """Run an experiment, and write its summary, recording and figures into its folder."""
-    from vergence.cli.outputs import check_outputs
     from vergence.demos.experiment import Experiment
-    from vergence.files import as_json
     from vergence.twin.profile import load_profile
 
     profile = load_profile(options.profile)
     results = f"{name}.json", f"{name}.rrd", *figures
-    read = [Path(options.profile)]
-    check_outputs(options.json, folder=options.out, names=results, inputs=read)
+    check_outputs(options.json, folder=options.out, names=results, inputs=[options.profile])
     settings = Experiment(profile, options.seed, options.scene, options.geometry, options.out)
     with progress_bars(options.out) as progress:
         found = run(settings, progress)

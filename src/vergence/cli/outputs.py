@@ -9,6 +9,7 @@ from pathlib import Path
 from vergence.errors import VergenceError
 from vergence.files import MAX_JSON_BYTES, REPORT, UNFINISHED, check_writable, read_bytes
 
+DATASET_FILES = ("dataset.json", "frames.csv")
 OWNED = {
     "dataset.json": "a dataset",
     "dataset.rrd": "a report of calibrate",
@@ -28,7 +29,7 @@ def check_outputs(
     folder: Path | None = None,
     names: Iterable[str] = (),
     title: str = "",
-    inputs: Iterable[Path] = (),
+    inputs: Iterable[Path | str | None] = (),
 ) -> None:
     """Check that files and a folder of results can be written, without creating any.
 
@@ -38,7 +39,7 @@ def check_outputs(
         folder: folder of results.
         names: files that are written into the folder.
         title: beginning of the folder's report.md; a report with another one is not replaced.
-        inputs: files that the same command reads.
+        inputs: files and folders of datasets that the same command reads; None: there is none.
 
     Raises:
         VergenceError: a path cannot be written, two are the same, one is an input or the folder,
@@ -46,7 +47,8 @@ def check_outputs(
     """
     if figure is not None and figure.suffix.lower() != ".png":
         raise VergenceError(f"A figure is a PNG file, whose name ends in .png; found {figure}.")
-    taken = {path.resolve(): "the file that is read" for path in inputs if os.path.exists(path)}
+    read = [Path(path) / name for path in inputs if path for name in ("", *DATASET_FILES)]
+    taken = {path.resolve(): "the file that is read" for path in read if os.path.isfile(path)}
     names = tuple(names)
     if folder is not None:
         place = check_writable(folder, folder=True)

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from vergence.files import as_json, write_whole
+
 
 @dataclass(frozen=True)
 class Table:
@@ -55,13 +57,9 @@ class Report:
 
     def json(self) -> str:
         """Return the values as JSON."""
-        from vergence.files import as_json
-
         return as_json(self.data)
 
     def write_json(self, path: Path | None) -> None:
         """Write the values into a file; None: no file was asked for."""
-        from vergence.files import write_whole
-
         if path is not None:
             write_whole(path, self.json())

@@ -15,12 +15,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vergence.errors import VergenceError
+from vergence.files import finished_files, unfinished
 
 if TYPE_CHECKING:
     from vergence.progress import Progress
-
-FILES_NAMED = 10
-"""Largest number of finished files that a stopped command names."""
 
 
 @contextmanager
@@ -50,7 +48,9 @@ def plain_ending(program: str) -> Iterator[None]:
         print(f"{program}: Cannot write to standard output: {error.strerror}.", file=sys.stderr)
         raise SystemExit(2) from None
     except KeyboardInterrupt as stop:
-        note = next(iter(getattr(stop, "__notes__", ())), None) or _finished()
+        done = " ".join(map(str, finished_files))
+        note = f"finished before: {done}" if done else "nothing was written"
+        note = next(iter(getattr(stop, "__notes__", ())), note)
         print(f"{program}: stopped; {note}.", file=sys.stderr)
         raise SystemExit(128 + (stop.args[0] if stop.args else signal.SIGINT)) from None
 
@@ -61,16 +61,6 @@ def _stop(number: int, frame: object) -> None:
 
 def _discard_output() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
-def _finished() -> str:
-    from vergence.files import finished_files
-
-    done = [str(path) for path in finished_files]
-    if not done:
-        return "nothing was written"
-    more = f" and {len(done) - FILES_NAMED} more" if len(done) > FILES_NAMED else ""
-    return f"finished before: {' '.join(done[-FILES_NAMED:])}{more}"
 
 
 def invocation(program: str, *arguments: str | Path) -> str:
@@ -94,8 +84,6 @@ def progress_bars(folder: Path | None = None) -> Iterator[Progress]:
     """
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-    from vergence.files import unfinished
 
     if folder is not None and unfinished(folder):
         print(
