@@ -132,14 +132,15 @@ def test_readings_of_a_motor_before_a_gear_may_be_of_many_turns():
 
 
 @pytest.mark.parametrize(
-    ("pose", "said"),
+    "pose",
     [
-        (np.diag([2.0, 2, 2, 1]), "a rotation part that is no rotation"),
-        (np.ones((4, 4)), "a rotation part that is no rotation"),
-        (np.eye(4) + np.eye(4)[[3]].T @ [[0.1, 0, 0, 0]], "a last row other than 0 0 0 1"),
+        np.diag([2.0, 2, 2, 1]),
+        np.diag([1.0, 1, -1, 1]),
+        np.ones((4, 4)),
+        np.eye(4) + np.eye(4)[[3]].T @ [[0.1, 0, 0, 0]],
     ],
 )
-def test_measured_poses_that_are_not_rigid_are_refused(head: HeadCalibration, pose, said):
+def test_measured_poses_that_are_not_rigid_are_refused(head: HeadCalibration, pose):
     poses = np.stack([pose, np.eye(4)])
     seen = {"left": np.full((1, 2), 300.0), "right": np.full((1, 2), 290.0)}
     for use in (
@@ -148,7 +149,7 @@ def test_measured_poses_that_are_not_rigid_are_refused(head: HeadCalibration, po
         lambda: rectify(head, poses),
         lambda: T_rcam_lcam(head, poses),
     ):
-        with pytest.raises(VergenceError, match=f"joints has {said}"):
+        with pytest.raises(VergenceError, match="joints has a pose that is not rigid"):
             use()
 
 

@@ -104,7 +104,7 @@ def _check_stretch(board: Board) -> None:
 
 
 def marker_family(dictionary: str, marker_id: int = 0) -> cv2.aruco.Dictionary:
-    """Return OpenCV's object of a family of markers.
+    """Look up OpenCV's family of markers.
 
     Args:
         dictionary: OpenCV's name of the family, such as DICT_4X4_50.
@@ -127,7 +127,7 @@ def marker_family(dictionary: str, marker_id: int = 0) -> cv2.aruco.Dictionary:
 
 
 def opencv_board(board: Charuco) -> cv2.aruco.CharucoBoard:
-    """Return OpenCV's object of a board, which detects it and draws it for printing."""
+    """Make OpenCV's object of a board, which detects it and draws it for printing."""
     size, family = (board.squares_x, board.squares_y), marker_family(board.dictionary)
     made = cv2.aruco.CharucoBoard(size, board.square_m, board.marker_m, family)
     made.setLegacyPattern(board.legacy)
@@ -135,7 +135,7 @@ def opencv_board(board: Charuco) -> cv2.aruco.CharucoBoard:
 
 
 def corner_points(board: Board) -> Array:
-    """Return the inner corners (rows * columns, 3) [m] in frame target, row by row."""
+    """List the inner corners (rows * columns, 3) [m] in frame target, row by row."""
     j, i = np.mgrid[: board.rows, : board.columns]
     sides = np.array([board.square_m, board.square_y_m or board.square_m, 0.0])
     return np.stack([i, j, np.zeros_like(i)], axis=-1).reshape(-1, 3) * sides

@@ -124,13 +124,13 @@ class Camera:
 
 
 def _pinhole(camera: Camera) -> tuple[float, float, float, float, float]:
-    """Return fx, skew, cx, fy, cy."""
+    """Unpack fx, skew, cx, fy, cy."""
     (fx, skew, cx), (_, fy, cy), _ = camera.matrix.tolist()
     return fx, skew, cx, fy, cy
 
 
 def _in_front(points_cam: Array) -> tuple[Array, Array, Array]:
-    """Return x/z, y/z and 1/z (...) of points in frame cam; NaN where z is not above zero."""
+    """Divide points in frame cam: x/z, y/z and 1/z (...); NaN where z is not above zero."""
     x, y, z = batch_last(points_cam)
     inv_z = 1 / np.where(z > 0, z, np.nan)[()]
     return x * inv_z, y * inv_z, inv_z

@@ -49,7 +49,7 @@ class RelativeMotion:
 
 
 def camera_motion(head: HeadCalibration, camera: str, joints: Array) -> CameraMotion:
-    """Return the pose of a camera of a head at readings (r,) [rad], and its derivatives."""
+    """Compute the pose of a camera of a head at readings (r,) [rad], and its derivatives."""
     mounted = head.camera(camera)
     T_base_eye, by_errors, by_readings = eye_linearised(head.kinematics, mounted.eye, joints)
     R, arm = T_base_eye[:3, :3], T_base_eye[:3, :3] @ mounted.T_eye_cam[:3, 3]
@@ -71,12 +71,12 @@ def camera_motion(head: HeadCalibration, camera: str, joints: Array) -> CameraMo
 
 
 def _rotated(R: Array, increments: Array) -> Array:
-    """Return increments (6, n) along other axes, by the rotation (3, 3) that maps into these."""
+    """Rotate increments (6, n) into other axes by R (3, 3)."""
     return np.concatenate([R @ increments[:3], R @ increments[3:]])
 
 
 def relative_motion(first: CameraMotion, second: CameraMotion) -> RelativeMotion:
-    """Return how the first camera stands to the second; of the two eyes, Eq. 11 linearised."""
+    """Compute the pose of the first camera in the second; of the two eyes, Eq. 11 linearised."""
     back = second.T_lbase_cam[:3, :3].T
     turned = -_UNIT  # what the second camera's increments do to the first, seen from it
     turned[3:, :3] = hat(first.T_lbase_cam[:3, 3] - second.T_lbase_cam[:3, 3])

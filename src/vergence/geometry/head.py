@@ -87,7 +87,7 @@ class HeadCalibration:
         )
 
     def camera(self, name: str) -> MountedCamera:
-        """Return a camera by its name; VergenceError if there is none of that name."""
+        """Look up a camera by its name; VergenceError if there is none of that name."""
         if name not in self.cameras:
             known = ", ".join(self.cameras)
             raise VergenceError(f"No camera is called {name!r}; this head has: {known}.")
@@ -110,7 +110,7 @@ def states_noise(head: HeadCalibration) -> bool:
 
 @lru_cache(maxsize=64)
 def without_accuracy(head: HeadCalibration) -> HeadCalibration:
-    """Return a head whose calibration is taken as exact."""
+    """Take a calibration as exact."""
     return replace(head, accuracy=None)
 
 
@@ -174,13 +174,13 @@ def main_camera(names: Collection[str], eye: Side) -> str:
 
 
 def main_pair(head: HeadCalibration) -> tuple[str, str] | None:
-    """Return the main camera of the left and of the right eye; None for a head of one eye."""
+    """Select the main camera of the left and of the right eye; None for a head of one eye."""
     left, right = (cameras_of(head, eye) for eye in EYES)
     return (main_camera(left, "left"), main_camera(right, "right")) if left and right else None
 
 
 def pair_names(head: HeadCalibration, cameras: tuple[str, str] | None = None) -> tuple[str, str]:
-    """Return the names of a camera of the left eye and one of the right; None: the main ones.
+    """Check the names of a camera of the left eye and one of the right; None: the main ones.
 
     VergenceError if they are something else, or the head is, such as a path.
     """

@@ -100,7 +100,7 @@ class Kinematics:
         return np.array([max(each, default=0.0) or 1.0 for each in turns])
 
     def used(self, eye: Side) -> list[int]:
-        """Return which of the readings move an eye, in the order of the joints that they move."""
+        """List the readings that move an eye, in the order of the joints that they move."""
         mixing = self.chains[eye].mixing != 0
         _, used = np.nonzero(mixing)  # joint by joint
         return list(dict.fromkeys(used.tolist()))
@@ -213,7 +213,7 @@ def eye_joint_angles(kinematics: Kinematics, eye: Side, readings: Array) -> Arra
 
 
 def straight_gaze(kinematics: Kinematics) -> Array:
-    """Return the readings (r,) [rad] of straight gaze, which are zero."""
+    """Make the readings (r,) [rad] of straight gaze, which are zero."""
     return np.zeros(len(kinematics.readings))
 
 

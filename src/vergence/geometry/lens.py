@@ -139,7 +139,7 @@ def reach(model: CameraModel, k: Coefficients) -> float:
 
 @lru_cache(maxsize=1024)
 def _table(model: CameraModel, k: Coefficients) -> tuple[Array, Array]:
-    """Return radii in the image, rising, and the tangents (rational) or angles there."""
+    """Tabulate radii in the image, rising, and the tangents (rational) or angles there."""
     end = reach(model, k)
     if model == "fisheye":
         theta = np.linspace(0, min(np.arctan(np.sqrt(end)), np.pi / 2), 500)
@@ -153,7 +153,7 @@ def _table(model: CameraModel, k: Coefficients) -> tuple[Array, Array]:
 
 
 def first_guess(model: CameraModel, k: Coefficients, x: Array, y: Array) -> tuple[Array, Array]:
-    """Return undistorted coordinates of distorted x, y, near enough for Newton's method to start.
+    """Estimate undistorted coordinates of distorted x, y, from which Newton's method converges.
 
     For a fisheye lens they are exact, and NaN where no direction in front of the camera has this
     radius.

@@ -14,18 +14,18 @@ POSE = ("rx", "ry", "rz", "tx", "ty", "tz")
 
 
 def intrinsics_names(camera: Camera) -> tuple[str, ...]:
-    """Return the names of a camera's intrinsics: fx, fy, cx, cy, k1, ..., in their order."""
+    """List the names of a camera's intrinsics: fx, fy, cx, cy, k1, ..., in their order."""
     return (*PINHOLE, *COEFFICIENTS[camera.model])
 
 
 def joint_names(kinematics: Kinematics, eye: Side) -> tuple[str, ...]:
-    """Return the names of the parameters of an eye's joints, such as left.pan_gain."""
+    """List the names of the parameters of an eye's joints, such as left.pan_gain."""
     joints = kinematics.eyes[eye]
     return tuple(f"{eye}.{joints[k].name}_{name}" for k, name in kinematics.parameters[eye])
 
 
 def names_of(cameras: Mapping[str, Camera], kinematics: Kinematics) -> tuple[str, ...]:
-    """Return the names of the parameters of a head with these cameras and joints."""
+    """List the names of the parameters of a head with these cameras and joints."""
     lenses = tuple((name, intrinsics_names(camera)) for name, camera in cameras.items())
     return _names(lenses, tuple(name for eye in EYES for name in joint_names(kinematics, eye)))
 
@@ -34,7 +34,7 @@ def names_of(cameras: Mapping[str, Camera], kinematics: Kinematics) -> tuple[str
 def _names(
     lenses: tuple[tuple[str, tuple[str, ...]], ...], joints: tuple[str, ...]
 ) -> tuple[str, ...]:
-    """Return the names of all parameters, by those of each camera's lens and of the joints.
+    """List the names of all parameters, by those of each camera's lens and of the joints.
 
     Remembered, since heads that an estimate changes many times a second keep theirs.
     """

@@ -27,7 +27,7 @@ from vergence.geometry.se3 import inverse, pose, rotation
 
 @lru_cache(maxsize=64)
 def parameter_names(head: HeadCalibration) -> tuple[str, ...]:
-    """Return the names of the parameters of a head, in their order."""
+    """List the names of the parameters of a head, in their order."""
     cameras = {name: mounted.intrinsics for name, mounted in head.cameras.items()}
     return names_of(cameras, head.kinematics)
 

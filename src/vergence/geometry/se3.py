@@ -16,7 +16,7 @@ from vergence.geometry.batches import batch_first, batch_last
 
 
 def pose(R: ArrayLike | None = None, t: ArrayLike | None = None) -> Array:
-    """Return T with rotation R (..., 3, 3) and translation t (..., 3); left out: none."""
+    """Assemble T from rotation R (..., 3, 3) and translation t (..., 3); left out: none."""
     R = np.eye(3) if R is None else np.asarray(R, dtype=float)
     t = np.zeros(3) if t is None else np.asarray(t, dtype=float)
     T = np.zeros((*np.broadcast_shapes(R.shape[:-2], t.shape[:-1]), 4, 4))
@@ -25,7 +25,7 @@ def pose(R: ArrayLike | None = None, t: ArrayLike | None = None) -> Array:
 
 
 def inverse(T: Array) -> Array:
-    """Return T_b_a of T_a_b, (..., 4, 4)."""
+    """Invert T_a_b (..., 4, 4) to T_b_a."""
     R_inv = np.swapaxes(T[..., :3, :3], -1, -2)
     return pose(R_inv, -(R_inv @ T[..., :3, 3:])[..., 0])
 
@@ -36,7 +36,7 @@ def transform(T: Array, points: Array) -> Array:
 
 
 def rotation(rotvec: ArrayLike) -> Array:
-    """Return R (..., 3, 3) of a rotation vector (..., 3) [rad]."""
+    """Compute R (..., 3, 3) of a rotation vector (..., 3) [rad]."""
     vectors = np.asarray(rotvec, dtype=float)
     # One row a vector: scipy takes five times as long with more dimensions.
     R = Rotation.from_rotvec(vectors.reshape(-1, 3)).as_matrix()
@@ -44,12 +44,12 @@ def rotation(rotvec: ArrayLike) -> Array:
 
 
 def rotvec(R: Array) -> Array:
-    """Return the rotation vector (..., 3) [rad], at most pi long, of R (..., 3, 3)."""
+    """Compute the rotation vector (..., 3) [rad], at most pi long, of R (..., 3, 3)."""
     return Rotation.from_matrix(R).as_rotvec()
 
 
 def boxplus(T: Array, xi: Array) -> Array:
-    """Return T_a_b (..., 4, 4) changed by increments (..., 6), along the axes of frame a.
+    """Change T_a_b (..., 4, 4) by increments (..., 6), along the axes of frame a.
 
     The one increment of a pose in this project: rotation phi [rad], then translation d [m], turn
     R_a_b into exp(phi) R_a_b and t_a_b into t_a_b + d. Covariances of poses speak of it.
@@ -58,13 +58,13 @@ def boxplus(T: Array, xi: Array) -> Array:
 
 
 def boxminus(T: Array, T_reference: Array) -> Array:
-    """Return the increments (..., 6) with boxplus(T_reference, increments) = T."""
+    """Compute the increments (..., 6) with boxplus(T_reference, increments) = T."""
     R = T[..., :3, :3] @ np.swapaxes(T_reference[..., :3, :3], -1, -2)
     return np.concatenate([rotvec(R), T[..., :3, 3] - T_reference[..., :3, 3]], axis=-1)
 
 
 def hat(v: Array) -> Array:
-    """Return [v] (..., 3, 3), the matrix of the cross product: hat(v) @ w = v x w."""
+    """Assemble [v] (..., 3, 3), the matrix of the cross product: hat(v) @ w = v x w."""
     zero = np.zeros(v.shape[:-1])
     x, y, z = v[..., 0], v[..., 1], v[..., 2]
     rows = [zero, -z, y, z, zero, -x, -y, x, zero]
@@ -72,7 +72,7 @@ def hat(v: Array) -> Array:
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Return a x b (..., 3); numpy's own takes ten times as long for few vectors."""
+    """Compute a x b (..., 3); numpy's own takes ten times as long for few vectors."""
     a1, a2, a3 = batch_last(a)
     b1, b2, b3 = batch_last(b)
     first = a2 * b3 - a3 * b2
@@ -86,12 +86,12 @@ def cross(a: Array, b: Array) -> Array:
 
 
 def angle(R: Array) -> Array:
-    """Return the angle (...,) [rad] of R (..., 3, 3)."""
+    """Compute the angle (...,) [rad] of R (..., 3, 3)."""
     return Rotation.from_matrix(R).magnitude()
 
 
 def nearest_rotation(M: Array) -> Array:
-    """Return the rotations (..., 3, 3) that are nearest to matrices M (..., 3, 3).
+    """Project matrices M (..., 3, 3) onto the nearest rotations.
 
     The orthogonal factor of M, with the direction of the least singular value turned round where
     that factor is a mirror image.
@@ -102,7 +102,7 @@ def nearest_rotation(M: Array) -> Array:
 
 
 def mean_pose(T: Array) -> Array:
-    """Return the mean rotation and median translation (4, 4) of poses (N, 4, 4) that differ little.
+    """Average poses (N, 4, 4) that differ little: mean rotation and median translation (4, 4).
 
     The rotation is the mean of the matrices, projected onto SO(3).
     """
@@ -110,7 +110,7 @@ def mean_pose(T: Array) -> Array:
 
 
 def known_poses(T: Array) -> np.ndarray:
-    """Return (...,) of bool: which of poses (..., 4, 4) are finite."""
+    """Check which (...,) of poses (..., 4, 4) are finite."""
     return np.asarray(np.isfinite(T).all(axis=(-2, -1)))
 
 
@@ -119,20 +119,17 @@ def check_rigid(name: str, T: Array) -> None:
     known = T[known_poses(T)]
     R = known[:, :3, :3]
     off = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(initial=0)
-    if off > 1e-6 or (np.linalg.det(R) < 0).any():
+    last = np.abs(known[:, 3] - [0.0, 0.0, 0.0, 1.0]).max(initial=0)
+    if off > 1e-6 or last > 1e-9 or (np.linalg.det(R) < 0).any():
         raise VergenceError(
-            f"{name} has a rotation part that is no rotation: of a quaternion that is not of "
-            "length 1, or of left-handed axes."
-        )
-    if (np.abs(known[:, 3] - [0.0, 0.0, 0.0, 1.0]) > 1e-9).any():
-        raise VergenceError(
-            f"{name} has a last row other than 0 0 0 1: in a pose the translation is the last "
-            "column."
+            f"{name} has a pose that is not rigid: its rotation part is no rotation, as of a "
+            "quaternion that is not of length 1 or of left-handed axes, or its last row is not "
+            "0 0 0 1."
         )
 
 
 def checked_points(points: ArrayLike, postures: tuple[int, ...] = ()) -> Array:
-    """Return points (..., 3) as an array.
+    """Check points (..., 3).
 
     VergenceError if they are others, or cannot be broadcast with postures of a leading shape.
     """

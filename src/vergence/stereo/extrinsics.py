@@ -34,7 +34,7 @@ def base_extrinsics(
 def stereo_cameras(
     head: HeadCalibration, cameras: tuple[str, str] | None
 ) -> tuple[MountedCamera, MountedCamera]:
-    """Return the left and the right camera of a pair; arguments and errors: see `pair_names`."""
+    """Look up the left and the right camera of a pair; arguments and errors: see `pair_names`."""
     left, right = pair_names(head, cameras)
     return head.camera(left), head.camera(right)
 
@@ -82,7 +82,7 @@ def rebase(
     joints: Array,
     cameras: tuple[str, str] | None = None,
 ) -> HeadCalibration:
-    """Return the head with the T_rbase_lbase that a stereo pose demands (Eq. 10).
+    """Set T_rbase_lbase of a head by a stereo pose (Eq. 10).
 
     The cameras stood at T_rcam_lcam (4, 4) at joint readings (r,) [rad]. Errors are those of
     `stereo_cameras`.

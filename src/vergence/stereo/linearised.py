@@ -30,14 +30,14 @@ from vergence.stereo.triangulation import intersect_rays
 
 
 def pair_parameters(head: HeadCalibration, cameras: tuple[str, str]) -> tuple[str, ...]:
-    """Return the names of the P parameters that the points of a pair of cameras depend on."""
+    """List the names of the P parameters that the points of a pair of cameras depend on."""
     names = parameter_names(head)
     return tuple(names[k] for k in _of_pair(head, cameras)[0])
 
 
 @lru_cache(maxsize=64)
 def _of_pair(head: HeadCalibration, cameras: tuple[str, str]) -> tuple[np.ndarray, ...]:
-    """Return which of the parameters either camera depends on, and where those of each are."""
+    """Find the parameters that either camera depends on, and the places of each one's."""
     columns = [camera_columns(head, name) for name in cameras]
     both = np.unique(np.concatenate(columns))
     return both, *(np.searchsorted(both, own) for own in columns)
@@ -160,7 +160,7 @@ class PairCovariance:
 
 @lru_cache(maxsize=64)
 def pair_covariance(head: HeadCalibration, cameras: tuple[str, str]) -> PairCovariance | None:
-    """Return the covariance that the pixels of a pair depend on; None if none is stated."""
+    """Select the covariance that the pixels of a pair depend on; None if none is stated."""
     if not states_covariance(head):
         return None
     names, (_, left, right) = pair_parameters(head, cameras), _of_pair(head, cameras)

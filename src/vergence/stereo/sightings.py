@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Required, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -47,7 +48,7 @@ class Sightings:
         return self.joints.ndim in (1, 3)
 
     def take(self, part: slice | int | np.ndarray) -> Sightings:
-        """Return some of the points, or one of them without a batch."""
+        """Select some of the points, or one of them without a batch."""
         pixels, readings = self.pixel_std_px, self.reading_std
         return replace(
             self,
@@ -57,6 +58,17 @@ class Sightings:
             pixel_std_px=pixels if pixels.ndim == 1 else pixels[part],
             reading_std=readings if readings.ndim == 1 else readings[part],
         )
+
+
+class SightingArguments(TypedDict, total=False):
+    """Arguments of `locate` that other functions share."""
+
+    left: Required[ArrayLike]
+    right: Required[ArrayLike]
+    joints: Required[ArrayLike]
+    cameras: tuple[str, str] | None
+    pixel_std_px: ArrayLike | None
+    joint_std_rad: ArrayLike | None
 
 
 def sightings(

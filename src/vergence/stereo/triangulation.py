@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from enum import IntEnum
+from typing import Unpack
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from vergence.arrays import Array, floats
 from vergence.errors import VergenceError, counted
@@ -21,7 +21,7 @@ from vergence.geometry.kinematics import check_radians
 from vergence.geometry.neck import T_body_head
 from vergence.geometry.projection import T_lbase_cam
 from vergence.geometry.se3 import checked_points, cross, transform
-from vergence.stereo.sightings import Sightings, in_chunks, sightings
+from vergence.stereo.sightings import SightingArguments, Sightings, in_chunks, sightings
 
 PARALLEL_RAD = 1e-12
 """Angle between two rays up to which they count as parallel: what rounding errors make."""
@@ -40,28 +40,15 @@ class Status(IntEnum):
 
 
 def triangulate_at(
-    head: HeadCalibration,
-    *,
-    left: Array,
-    right: Array,
-    joints: Array,
-    cameras: tuple[str, str] | None = None,
-    pixel_std_px: ArrayLike = 1.0,
+    head: HeadCalibration, **arguments: Unpack[SightingArguments]
 ) -> tuple[Array, np.ndarray]:
     """Triangulate points (N, 3) [m] in the left eye's base frame, with status (N,) (Eqs. 3, 4, 11).
 
-    NaN where the status is not OK. Of the noise of (left u, left v, right u, right v) only the
-    ratios count. Arguments and errors are those of `uncertainty.locate`.
+    NaN where the status is not OK. Of the noise of pixels only the ratios count; left out: equal.
+    Arguments and errors are those of `uncertainty.locate`.
     """
-    seen = sightings(
-        head,
-        left=left,
-        right=right,
-        joints=joints,
-        cameras=cameras,
-        pixel_std_px=pixel_std_px,
-        joint_std_rad=0.0,
-    )
+    arguments.setdefault("pixel_std_px", 1.0)
+    seen = sightings(head, **arguments)
     points, status = in_chunks(seen, triangulated)
     return points, status
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,7 +26,7 @@ from vergence.stereo.linearised import (
     pair_factor,
     pair_parameters,
 )
-from vergence.stereo.sightings import CHUNK, Sightings, in_chunks, sightings
+from vergence.stereo.sightings import CHUNK, SightingArguments, Sightings, in_chunks, sightings
 from vergence.stereo.triangulation import triangulated
 
 
@@ -140,12 +141,8 @@ def _at_the_images(head: HeadCalibration, joints: ArrayLike, joint_time_s: Array
 def locate_jointly(
     head: HeadCalibration,
     *,
-    left: Array,
-    right: Array,
-    joints: Array,
     estimate: tuple[Sequence[str], Array],
-    pixel_std_px: ArrayLike,
-    cameras: tuple[str, str] | None = None,
+    **arguments: Unpack[SightingArguments],
 ) -> LocatedPoints:
     """Locate points with a head and readings that were estimated together.
 
@@ -154,15 +151,7 @@ def locate_jointly(
     head states of its other parameters is added, as if these were independent. Other arguments and
     errors are those of `locate`.
     """
-    seen = sightings(
-        head,
-        left=left,
-        right=right,
-        joints=joints,
-        cameras=cameras,
-        pixel_std_px=pixel_std_px,
-        joint_std_rad=0.0,
-    )
+    seen = sightings(head, **arguments)
     parameters, covariance = estimate
     names, P = pair_parameters(head, seen.cameras), len(parameters)
     mine = [k for k, name in enumerate(parameters) if name in names]
@@ -190,15 +179,7 @@ def _sandwich(J: Array, C: Array) -> Array:
 
 @single_blas_thread()
 def combination(
-    head: HeadCalibration,
-    *,
-    weights: Array,
-    left: Array,
-    right: Array,
-    joints: Array,
-    cameras: tuple[str, str] | None = None,
-    pixel_std_px: ArrayLike | None = None,
-    joint_std_rad: ArrayLike | None = None,
+    head: HeadCalibration, *, weights: Array, **arguments: Unpack[SightingArguments]
 ) -> tuple[Array, Array]:
     """Sum points times weights (N,), to (3,) [m], with the covariance (3, 3) [m^2] of the sum.
 
@@ -209,15 +190,7 @@ def combination(
     caller nor the calibration states is taken as none. VergenceError also if there are not as many
     weights as points, or one is not finite.
     """
-    seen = sightings(
-        head,
-        left=left,
-        right=right,
-        joints=joints,
-        cameras=cameras,
-        pixel_std_px=pixel_std_px,
-        joint_std_rad=joint_std_rad,
-    )
+    seen = sightings(head, **arguments)
     n, weights = len(seen.left), floats("weights", weights)
     if weights.shape != (n,) or not np.isfinite(weights).all():
         raise VergenceError(
