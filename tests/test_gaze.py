@@ -236,42 +236,6 @@ def test_both_eyes_turn_to_an_object_that_only_one_sees():
     assert done.errors[-1].max() < 5
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("shift", [(-28, 30), (20, -40)])
-def test_eyes_go_first_the_neck_follows_and_the_image_stays(shift):
-    before, after = point_at(shift[0], 0, 0.9), point_at(shift[1], 8, 0.9)
-    head = DrawnHead(lambda t: before if t < 1.4 else after)
-    done = run(head, 3.6, replace(SETTINGS, use_neck=True))
-    necks = np.array([head.posture(t)[NECK] for t in done.times])
-    turning = np.abs(np.gradient(necks[:, 2], done.times)) > 0.05
-    foveated = np.zeros(len(done.times), bool)
-    for start_s, end_s in ((0.0, 1.4), (1.4, 3.6)):
-        inside = (done.times >= start_s) & (done.times < end_s)
-        reached = np.flatnonzero(inside & (done.errors.max(axis=1) < 5))
-        foveated[reached[0] : np.flatnonzero(inside)[-1] + 1] = True
-        assert done.errors[inside][-1].max() < 2
-        # The eyes end near their middle, because the neck has followed.
-        last = head.posture(done.times[inside][-1])
-        assert np.abs(last[EYE_READINGS][[0, 2]].mean()) < 0.06
-    assert (turning & foveated).sum() > 20
-    assert done.errors[turning & foveated].max() < 20
-
-
-@pytest.mark.slow
-def test_no_limit_of_range_or_speed_is_ever_exceeded():
-    # Both ends of pan and of tilt are asked for.
-    head = DrawnHead(lambda t: point_at(80 * np.sin(2 * t), 40 * np.sin(3.4 * t), 0.6))
-    done = run(head, 3.2, replace(SETTINGS, use_neck=True))
-    times = np.arange(0, 3.2, 1e-3)
-    postures = np.array([head.posture(t) for t in times])
-    limits = JointLimits()
-    assert (postures >= limits.range_rad[:, 0] - 1e-12).all()
-    assert (postures <= limits.range_rad[:, 1] + 1e-12).all()
-    speeds = np.abs(np.diff(postures, axis=0)) / 1e-3
-    assert (speeds <= limits.speed_rad_s * (1 + 1e-6)).all()
-    assert all(np.isfinite(setpoint(s.command, s.frame_s + 0.01)).all() for s in done.states)
-
-
 def test_a_head_without_a_calibrated_neck_works_in_frame_head():
     plain = replace(four_cameras(), neck=type(four_cameras().neck)())
     target = point_at(10, 5, 0.6)

@@ -22,7 +22,6 @@ from vergence.gaze.reaching import (
 )
 from vergence.gaze.state import GazeSettings
 from vergence.geometry.se3 import pose, rotation
-from vergence.vision.detector import Detection
 from vergence.vision.sphere import sphere_detector
 
 SETTINGS = ReachSettings(gaze=GazeSettings(calibration=four_cameras()), marker_hand=MARKER_HAND)
@@ -123,14 +122,6 @@ def test_a_hand_waits_until_its_marker_is_seen():
     assert state.phase is ReachPhase.HELD
 
 
-def test_the_hand_stays_at_home_while_the_object_is_out_of_reach():
-    head = DrawnHeadWithHand(lambda t: point_at(5, 0, 1.2), home=SETTINGS.home)
-    state, phases = run(head, 0.7)
-    assert phases[-1] is ReachPhase.TRACK
-    np.testing.assert_allclose(head.hand.position, SETTINGS.home, atol=1e-6)
-    assert state.target is None
-
-
 @pytest.mark.parametrize(
     ("path", "ends"),
     [
@@ -194,17 +185,3 @@ def test_a_pose_of_the_hand_that_is_not_finite_is_left_out_and_the_others_are_ke
         step_reach(SETTINGS, state, None, HandReading(1e3, np.zeros(3)), 1e3)
     with pytest.raises(VergenceError, match="the first one a finite one"):
         initial_reach_state(SETTINGS, np.zeros(7), lost, 0.0)
-
-
-def test_readings_of_a_hand_whose_clock_stands_still_do_not_pile_up():
-    head = DrawnHeadWithHand(still, home=SETTINGS.home)
-    state, _ = run(head, 0.2)
-    for _ in range(50):
-        state = step_reach(SETTINGS, state, None, HandReading(9.0, np.eye(4)), 9.0)
-    assert len(state.readings) < 10
-
-
-def test_a_detector_of_markers_that_answers_wrongly_is_named():
-    settings = replace(SETTINGS, detect_marker=lambda *_: Detection(np.full(2, np.nan), 0.1))
-    with pytest.raises(VergenceError, match=r"detector of \"the hand's marker\" must return None"):
-        run(DrawnHeadWithHand(still, home=SETTINGS.home), 1.0, settings=settings)

@@ -109,31 +109,6 @@ def test_without_an_error_every_sample_is_exact(number: int):
     np.testing.assert_allclose(points, expected, atol=1e-9)
 
 
-def test_the_readings_are_older_than_the_image_by_the_delay():
-    for delay_ms, image_back, reading_back in ((10, 0.0, 0.010), (-10, 0.010, 0.0)):
-        figure, times = FIGURES[7], np.linspace(1, 2, 50)
-        truth = table_head(figure)
-        rng = np.random.default_rng(0)
-        seen = observe_points(truth, joints(delay_ms=delay_ms), figure, times, rng=rng)
-        np.testing.assert_allclose(seen.eye_angles, eye_angles("divergent", times - reading_back))
-        exact = observe_points(truth, PERFECT, figure, times - image_back, rng=rng)
-        np.testing.assert_allclose(seen.pixels_l, exact.pixels_l)
-
-
-def test_backlash_has_been_wound_up_before_the_first_sample():
-    figure, period = FIGURES[6], PERIOD_S["parallel"]
-    times = np.arange(200) * period / 200
-    truth, play, rng = table_head(figure), joints(backlash_deg=0.5), np.random.default_rng(0)
-    once, twice = (
-        observe_points(truth, play, figure, times + start, rng=rng).eye_angles
-        for start in (0, period)
-    )
-    np.testing.assert_allclose(once, twice, atol=1e-12)
-    lag = np.abs(once - eye_angles("parallel", times))
-    assert lag.max() == pytest.approx(np.radians(0.25))
-    assert lag[0].max() > np.radians(0.2)
-
-
 def test_by_hand_errors_leave_straight_gaze_exact():
     """Eq. 10 is computed again from the wrong values: theta = 0 stays as it was calibrated."""
     truth = table_head(FIGURES[6])

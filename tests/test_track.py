@@ -3,7 +3,6 @@
 import json
 import re
 import runpy
-from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,6 @@ import pytest
 
 from rrd import read_series
 from vergence.arrays import Array
-from vergence.demos import experiment
 from vergence.demos import track as module
 from vergence.demos.experiment import Experiment
 from vergence.demos.track import SPEED_M_S, follow, smooth_path, track
@@ -19,8 +17,6 @@ from vergence.errors import VergenceError
 from vergence.gaze.commands import JointLimits
 from vergence.gaze.controller import run_gaze
 from vergence.gaze.state import GazeSettings, initial_gaze_state
-from vergence.progress import Progress
-from vergence.twin import simulated_robot
 from vergence.twin.head import Twin
 from vergence.twin.model import nominal_head
 from vergence.twin.profile import ErrorProfile, load_profile
@@ -53,17 +49,6 @@ def test_a_moving_object_stays_on_both_foveas_and_is_found_again_after_it_was_hi
     assert found.rms_px < 32
     assert found.position_rms_m < found.single_frame_rms_m
     assert 0 < found.wide_rms_m < 0.1
-
-
-@pytest.mark.render
-@pytest.mark.usefixtures("coarse_images")
-def test_the_geometry_that_both_eyes_see_locates_better_than_the_joints():
-    """In profile paper the readings have gains and noise; the images of both are the same."""
-    with Twin(load_profile("paper"), seed=1) as twin:
-        settings = GazeSettings(calibration=twin.truth, geometry="seen")
-        found = follow(twin, settings, 0, smooth_path(4, 3.0), 1.0)
-    assert found.single_frame_rms_m < found.wide_rms_m / 3
-    assert found.position_rms_m < found.wide_rms_m / 3
 
 
 @pytest.mark.render
@@ -112,19 +97,6 @@ def test_the_scenario_shows_that_the_narrow_images_beat_the_wide_ones(
     assert found["wide_rms_m"] > ratio * found["single_frame_rms_m"]
     times, _ = read_series(tmp_path / "track.rrd", "/position/x")
     np.testing.assert_allclose(times, FRAME_S * np.arange(49), atol=1e-9)
-
-
-def test_the_calibration_before_a_run_says_how_far_it_is(monkeypatch: pytest.MonkeyPatch):
-    def views(twin: object, seed: int, *, progress: Progress) -> None:
-        progress("calibration views", 0, 102)
-        raise VergenceError("No more is needed.")
-
-    monkeypatch.setattr(simulated_robot, "paper_calibration", views)
-    monkeypatch.setattr(experiment, "Twin", lambda *_, **__: nullcontext())
-    said = []
-    with pytest.raises(VergenceError, match="No more"):
-        track(Experiment(ErrorProfile()), lambda *step: said.append(step))
-    assert said == [("calibrating, 2.8mm lens", 0, 102)]
 
 
 @pytest.mark.parametrize(("seconds", "seed"), [(0.0, 0), (1e9, 0), (10.0, -1)])

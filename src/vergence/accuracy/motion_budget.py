@@ -13,7 +13,7 @@ from vergence.accuracy.motions import PERIOD_S, eye_angles
 from vergence.arrays import Array
 from vergence.data.reader import load_dataset
 from vergence.data.stereo_rows import check_readings_match
-from vergence.errors import VergenceError, counted
+from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, pixel_stds, reading_stds, states_covariance
 from vergence.geometry.kinematics import EYE_JOINTS
 
@@ -51,8 +51,8 @@ def motion_budgets(
         sources: further errors.
 
     Raises:
-        VergenceError: there is no source, a point is not seen or as uncertain as it is far away,
-            the motion does not exist for this head, or the head was calibrated with measured poses.
+        VergenceError: there is no source, a point is not seen, the motion does not exist for this
+            head, or the head was calibrated with measured poses.
     """
     if head.accuracy is not None and head.accuracy.eye_motion == "poses":
         raise VergenceError(
@@ -76,21 +76,7 @@ def motion_budgets(
     for name in names:
         joints, rates = motion_of(name, head)
         found[name] = budget(head, points, joints=joints, rates=rates, sources=sources)
-    for one in found[motion]:
-        _check_finite_distance(one)
     return MotionBudgets(motion, found[motion], found.get("parallel"))
-
-
-def _check_finite_distance(found: Budget) -> None:
-    """Raise VergenceError if the rays to a point may be parallel within one standard deviation."""
-    distance, std = np.linalg.norm(found.point_m), np.linalg.norm(found.total.std_m)
-    if not std < distance:
-        # The error of depth grows with the square of the distance.
-        x, y, z = found.point_m
-        raise VergenceError(
-            f"--at {x:g} {y:g} {z:g} is too far away: with these errors the head cannot tell "
-            f"points beyond about {distance**2 / std:.2g} m apart from ones at infinity."
-        )
 
 
 def motion_of(name: str, head: HeadCalibration) -> tuple[Array, Array]:
@@ -110,11 +96,7 @@ def motion_of(name: str, head: HeadCalibration) -> tuple[Array, Array]:
         )
     data = load_dataset(name)
     if data.T_base_eye is not None or len(data.eye_angles) < 2:
-        raise VergenceError(
-            f"The motion of {name} is not one of joints: it has "
-            + counted(len(data.eye_angles), "row")
-            + (" of measured eye poses." if data.T_base_eye is not None else ".")
-        )
+        raise VergenceError(f"A motion needs two or more rows of joint readings; {name} has none.")
     check_readings_match(data, head)
     rates = np.gradient(data.eye_angles, data.joint_time_s, axis=0)
     step = -(-len(rates) // (4 * SAMPLES))
