@@ -74,14 +74,6 @@ def test_an_exact_recording_gives_the_head_exactly(given: tuple[str, ...]):
     assert not texts(found.findings)
 
 
-def test_measured_eye_poses_calibrate_a_whole_head_exactly():
-    head, observed, start = simulated(22)
-    observed = observed.take(np.arange(0, 40, 2))
-    found = bundle_adjust(start, replace(observed, T_base_eye=observed.eye_poses(head)))
-    poses = [i for i, name in enumerate(found.parameters) if "T_" in name]
-    assert np.abs(errors(found, head)[poses]).max() < 1e-8
-
-
 @pytest.fixture(scope="module")
 def noisy_heads(slow_setup: None) -> list[tuple[HeadCalibration, BundleEstimate]]:
     """Four heads with joint noise of 0.05 degrees, 0.1 px, and images 15 ms late."""
@@ -97,6 +89,8 @@ def test_every_parameter_of_a_head_is_found_within_its_stated_accuracy(noisy_hea
         assert_within_stated(found, head)
         assert np.count_nonzero(stated_std(found)) >= 60
         assert not texts(found.findings)
+        assert abs(found.head.time_offset_s - OFFSET_S) < 1e-3
+        assert found.pixel_std_px == pytest.approx(0.1, rel=0.05)
 
 
 def test_regions_of_the_parts_of_a_head_hold_the_truth(noisy_heads):
@@ -109,13 +103,6 @@ def test_regions_of_the_parts_of_a_head_hold_the_truth(noisy_heads):
     # The five regions of a head err together: one head in four may well have all of them outside.
     assert np.mean(np.array(p) < 0.95) > 0.7
     assert max(p) < 0.9999
-
-
-def test_the_time_offset_is_found_within_a_millisecond_and_the_noise(noisy_heads):
-    assert all(abs(found.head.time_offset_s - OFFSET_S) < 1e-3 for _, found in noisy_heads)
-    assert np.mean([found.pixel_std_px for _, found in noisy_heads]) == pytest.approx(0.1, rel=0.02)
-    joint = np.mean([found.joint_std for _, found in noisy_heads], axis=0)
-    np.testing.assert_allclose(joint, np.radians(0.05), rtol=0.1)  # pan and tilt apart
 
 
 def test_what_is_fixed_keeps_its_start_and_has_no_variance():

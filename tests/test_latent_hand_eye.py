@@ -121,18 +121,6 @@ def test_both_levels_of_noise_are_found_without_a_warning(trials):
     assert joint == pytest.approx(np.radians(0.1), rel=0.1)
 
 
-def test_wild_corners_and_a_wild_reading_do_little_harm():
-    recording = record(2, joint_std=0.001, pixel_std_px=0.1)
-    rng = np.random.default_rng(2)
-    wild = rng.random(recording.pixels.shape[:2]) < 0.03
-    recording.pixels[wild] += rng.normal(0, 8, (np.count_nonzero(wild), 2))
-    recording.readings[3, 0] += 0.1
-    found = solve(recording)
-    assert_within_stated(found, recording)
-    assert found.joint_std[0] < 0.002
-    assert any("corners lie beyond 4 standard deviations" in text for text in texts(found.findings))
-
-
 @pytest.mark.parametrize("flips", [1, 6])
 def test_boards_numbered_from_the_wrong_end_are_left_out_and_named(flips: int):
     recording = record(40, joint_std=0.001, pixel_std_px=0.1)
@@ -159,11 +147,6 @@ def record_poses(
     noise = rng.normal(size=(25, 6)) * np.repeat(std, 3)
     pixels = pixels + rng.normal(0, pixel_std_px, pixels.shape)
     return Recording(T_eye_cam, boxplus(poses, noise), pixels)
-
-
-def test_exact_general_eye_poses_give_the_mounting_exactly():
-    recording = record_poses(4, (0.0, 0.0), 0.0)
-    np.testing.assert_allclose(solve(recording).T_eye_cam, recording.T_eye_cam, atol=1e-9)
 
 
 @pytest.mark.slow
@@ -201,15 +184,6 @@ def test_an_axis_that_does_not_move_is_named_with_what_it_hides(reach, words):
     assert "not observable" in text
     assert all(word in text for word in words)
     assert "by at least 0.1 rad" in text
-
-
-def test_an_unobservable_direction_stays_at_its_start():
-    recording = record(6, joint_std=0.002, pixel_std_px=0.1, reach=(0.25, 0))
-    start = boxplus(recording.T_eye_cam, np.array([0.01, 0, 0.02, 0, 0.002, 0.004]))
-    off = boxminus(solve(recording, start=start).T_eye_cam, recording.T_eye_cam)
-    assert off[2] == pytest.approx(0.02, abs=2e-3)
-    assert off[5] == pytest.approx(0.004, abs=1e-3)
-    assert abs(off[0]) < 0.008
 
 
 def test_two_views_are_too_few_and_said_so():

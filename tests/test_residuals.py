@@ -9,11 +9,9 @@ from simulated_head import skewed_head
 from simulated_recording import two_boards
 from vergence.arrays import Array
 from vergence.calibration.bundle_start import BundleProblem, PoseObservations, bundle_problem
-from vergence.calibration.lens_prior import LensPrior
 from vergence.calibration.residuals import EyeDistance
 from vergence.estimation.residual import Residual
 from vergence.estimation.variables import Variables
-from vergence.geometry.camera import pinhole
 from vergence.geometry.se3 import boxplus
 from vergence.vision.board_pose import board_poses
 
@@ -81,12 +79,3 @@ def test_derivatives_by_every_unknown_agree_with_differences(kind: str):
     )
     for residual in (*problem.residuals, distance):
         assert_derivatives(residual.follow(x), x)
-
-
-def test_derivatives_of_a_fisheye_prior_agree_with_differences():
-    head = skewed_head(np.random.default_rng(0))
-    lens = pinhole(640, 480, 300.0, (0.1, -0.2, 0.05, 0.1), model="fisheye")
-    cameras = {name: replace(each, intrinsics=lens) for name, each in head.cameras.items()}
-    few = two_boards(head, np.random.default_rng(0)).take(np.array([0, 1, 12, 13, 14, 15]))
-    x = bundle_problem(replace(head, cameras=cameras), few, fixed=()).start
-    assert_derivatives(LensPrior(camera="left_wide"), x)

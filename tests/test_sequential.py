@@ -1,6 +1,6 @@
 """The paper's steps on exact data give the truth, whatever the head, as far as OpenCV can tell."""
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +9,6 @@ from simulated_head import random_head
 from simulated_recording import EXACT, Noise, Recording, as_poses, record, still_recording
 from test_intrinsics import SINGLE_PRECISION_LENS, SINGLE_PRECISION_POSE, SINGLE_PRECISION_PX
 from vergence.calibration.initial import calibrate_sequentially
-from vergence.calibration.intrinsics import lenses_of_the_paper
 from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
@@ -98,13 +97,6 @@ def test_a_head_from_exact_data_locates_points_exactly(exact):
     assert_same(located, points, 1e-5)  # depth errs most: 0.8 m / 0.06 m times as much as poses
 
 
-def test_a_lens_model_without_distortion_leaves_what_it_cannot_say(exact):
-    found = calibrate_sequentially(exact[1], lenses=lenses_of_the_paper(exact[1], "none"))
-    assert not found.head.cameras["left_wide"].intrinsics.distortion.any()
-    assert found.intrinsics["left_wide"].rms_px > 0.3
-    assert found.intrinsics["left_narrow"].rms_px < SINGLE_PRECISION_PX
-
-
 def test_without_straight_gaze_the_eyes_are_related_by_boards_that_both_see():
     rng = np.random.default_rng(2)
     truth = random_head(rng, lenses=("wide",), perfect_axes=True)
@@ -112,14 +104,6 @@ def test_without_straight_gaze_the_eyes_are_related_by_boards_that_both_see():
     found = calibrate_sequentially(observed)
     assert sorted(found.head.cameras) == ["left_wide", "right_wide"]
     assert found.stereo_rms_px is None
-    assert_same(found.head.T_rbase_lbase, truth.T_rbase_lbase)
-
-
-def test_straight_gaze_that_varies_is_taken_as_it_was_read():
-    rng = np.random.default_rng(2)
-    truth = random_head(rng, lenses=("wide",), perfect_axes=True)
-    observed = record(truth, rng, Recording(gaze_spread_rad=0.034, noise=EXACT))
-    found = calibrate_sequentially(observed)
     assert_same(found.head.T_rbase_lbase, truth.T_rbase_lbase)
 
 
@@ -156,22 +140,8 @@ def test_a_head_may_have_one_eye(exact):
     np.testing.assert_array_equal(found.head.T_rbase_lbase, np.eye(4))
 
 
-def test_without_moving_eyes_there_is_no_eye_camera_pose(exact):
-    still = replace(exact[1], eye_angles=0 * exact[1].eye_angles)
-    with pytest.raises(VergenceError, match=r"share one axis|at least 3 views"):
-        calibrate_sequentially(still)
-
-
 def test_a_camera_that_never_saw_the_board_is_an_error(exact):
     nothing = np.full_like(exact[1].corners["right_wide"], np.nan)
     blind = replace(exact[1], corners={**exact[1].corners, "right_wide": nothing})
     with pytest.raises(VergenceError, match=r"right_wide: .*at least 3 views"):
         calibrate_sequentially(blind)
-
-
-def test_the_same_corners_give_the_same_digits():
-    """OpenCV's own sums differ from run to run in their last digits when it uses threads."""
-    _, observed = recorded(Noise(pixel_px=0.03, joint_rad=1e-3))
-    first, *others = (asdict(calibrate_sequentially(observed).head) for _ in range(3))
-    for other in others:
-        np.testing.assert_equal(other, first)

@@ -50,17 +50,6 @@ def test_exact_corners_of_wide_rational_lenses_give_the_pose(seed: int):
     np.testing.assert_allclose(found, T_rcam_lcam(head, np.zeros(4)), atol=1e-5)
 
 
-def test_only_corners_that_both_cameras_saw_count():
-    rng = np.random.default_rng(2)
-    T_b_a, corners, cameras = pair(rng)
-    for seen in corners:
-        seen[rng.uniform(size=seen.shape[:2]) < 0.3] = np.nan
-    corners[0][3], corners[1][5, 4:] = np.nan, np.nan
-    found, rms = calibrate_pair(*corners, POINTS, *cameras)
-    np.testing.assert_allclose(found, T_b_a, atol=SINGLE_PRECISION_POSE)
-    assert rms < SINGLE_PRECISION_PX
-
-
 def test_noise_leaves_an_error_of_its_own_size():
     rng = np.random.default_rng(3)
     T_b_a, corners, cameras = pair(rng, n=15)

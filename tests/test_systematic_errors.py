@@ -10,7 +10,6 @@ from texts import texts
 from vergence.calibration.bundle_adjustment import BundleEstimate as Estimate
 from vergence.calibration.bundle_adjustment import bundle_adjust, covariance_of
 from vergence.calibration.initial import calibrate_sequentially
-from vergence.calibration.systematic_errors import likeliest_std
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES
 
@@ -68,9 +67,3 @@ def test_an_assumed_systematic_error_is_stated_even_if_it_cannot_be_seen(heads):
     np.testing.assert_allclose(assumed.head.T_rbase_lbase, plain.head.T_rbase_lbase, atol=1e-12)
     for name in ("left_wide.fx", "right_wide.k1", "left_wide.T_eye_cam.tz"):
         assert std_of(assumed, name) > 2 * std_of(plain, name)
-
-
-def test_a_fit_that_left_nothing_of_the_fields_tells_no_systematic_error():
-    """As the equations of an estimate that did not converge may have it."""
-    assert likeliest_std(-np.eye(3), np.ones(3)) == 0.0
-    assert likeliest_std(np.eye(3), np.full(3, 1e3)) > 100

@@ -81,21 +81,6 @@ def test_exact_poses_give_the_head_without_error(kind: str):
     assert np.isnan(found.errors["left_wide"][3]).all()
 
 
-def test_a_camera_of_the_start_that_measured_nothing_keeps_its_place():
-    rng = np.random.default_rng(2)
-    head = head_of("pan, tilt", rng)
-    poses, readings = measured(head, rng)
-    found = adjust_target_poses(
-        {"left_wide": poses["left_wide"]},
-        readings,
-        eyes=EYES_OF,
-        covariance={"left_wide": NOISE},
-        start=head,
-    )
-    assert np.abs(off(found, head)).max() < 1e-5
-    assert any("right_wide" in warning for warning in texts(found.findings))
-
-
 def test_a_start_of_another_head_is_refused():
     rng = np.random.default_rng(3)
     head = head_of("pan, tilt", rng)
