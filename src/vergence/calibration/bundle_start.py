@@ -99,7 +99,7 @@ def bundle_problem(
     theirs. `least_blocks` is that of reading_levels; other arguments and errors are those of
     `bundle_adjust`.
     """
-    cameras, V = start.cameras, len(observations.placement)
+    cameras, V, corners = start.cameras, len(observations.placement), np.zeros(0)
     if isinstance(observations, PoseObservations):
         T = _stacked(observations.T_cam_target, cameras, (V, 4, 4))
         placed = known_poses(T)

@@ -48,7 +48,7 @@ def read_motion(
         wanted = np.isin(np.arange(len(readings)), view[mine])
         poses = readings.ndim > 2
         own = readings[:, e] if poses else readings[:, postures.columns[mine[0]]]
-        known = np.isfinite(own).reshape(len(own), -1).all(axis=1)
+        known = np.asarray(np.isfinite(own).reshape(len(own), -1).all(axis=1))
         run = np.where(known, timing.run, 0)  # unknown rows are no neighbours of known ones
         every = stencil(timing.time_s, run, wanted)
         if poses:

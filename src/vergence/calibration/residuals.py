@@ -412,8 +412,8 @@ class EyeDistance(Residual):
     robust: bool = False
 
     def error(self, x: Variables) -> Array:
-        t = x["head"].T_rbase_lbase[:3, 3]
-        return np.array([[(np.linalg.norm(t) - self.distance_m) / self.std_m]])
+        distance_m = float(np.linalg.norm(x["head"].T_rbase_lbase[:3, 3]))
+        return np.array([[(distance_m - self.distance_m) / self.std_m]])
 
     def rows(self, x: Variables) -> Rows:
         head: HeadCalibration = x["head"]
