@@ -101,7 +101,10 @@ def image(width: int = 32, height: int = 24) -> np.ndarray:
         ({"joint_time_s": 7.2}, "line 4: time_s and joint_time_s lie 5 s apart"),
         ({"time_s": 1.1}, "line 4: time_s = 1.1 repeats that of line 3; time stamps increase"),
         ({"joint_time_s": 0.9}, "line 4: joint_time_s = 0.9 is earlier than that of line 3"),
-        ({"time_s": 1e8, "joint_time_s": 1e8}, "time_s spans 1e.08 s"),
+        (
+            {"time_s": 1e8, "joint_time_s": 1e8},
+            "time_s = 100000000.0 is no time in seconds of one recording",
+        ),
         ({"placement": -1}, "line 4: placement is '-1'; expected blank or a whole number from 0"),
         ({"placement": 1.5}, "line 4: placement is '1.5'; expected blank"),
         ({"placement": "a"}, "line 4: placement is 'a'; expected blank"),
