@@ -199,21 +199,6 @@ def test_points_that_no_gaze_centres_are_nan_and_leave_the_others_alone():
     np.testing.assert_allclose(alone, angles[3], atol=1e-14)
 
 
-def test_eyes_within_limits_look_as_near_to_a_point_as_these_allow():
-    points, limits = np.array([[0.5, 0.1, 0.02], [0.5, 0.4, 0.02]]), np.full(4, 0.4)
-    free = solve_fixation(head(0), {"left_wide": points})
-    held = solve_fixation(head(0), {"left_wide": points}, limits_rad=limits)
-    np.testing.assert_allclose(held[0], free[0], atol=1e-12)
-    assert held[1, 0] == 0.4 < free[1, 0]
-    # The tilt is what is best at that pan.
-    off = [
-        point_in_camera(head(0), "left_wide", held[1:] + np.array([0, d, 0, 0]), points[1:])[0]
-        for d in (-1e-3, 0, 1e-3)
-    ]
-    miss = [np.linalg.norm(p[:2] / p[2]) for p in off]
-    assert miss[1] < min(miss[0], miss[2])
-
-
 @pytest.mark.render
 def test_a_rendered_object_held_at_the_ideal_position_is_in_the_middle_of_the_fovea():
     """On the twin's own pictures, and with its truth: 0.3 px in all four images."""

@@ -56,8 +56,8 @@ def workspace(
     in_head = np.multiply.outer(np.array(distances_m), looking_along(a, -b)).reshape(-1, 3)
     points = transform(inverse(T_head_base(head, "left")), in_head)
     in_bases = points, transform(head.T_rbase_lbase, points)
-    joints = solve_fixation(head, dict(zip(pair, in_bases, strict=True)), limits_rad=limits_rad)
-    joints = np.nan_to_num(joints)  # readings that move no camera of the pair, points out of reach
+    joints = solve_fixation(head, dict(zip(pair, in_bases, strict=True)))
+    joints = np.clip(np.nan_to_num(joints), -limits_rad, limits_rad)
     seen = np.ones(len(points), bool)
     for name in pair:
         lens = head.cameras[name].intrinsics

@@ -24,9 +24,7 @@ _CONVERGED = 1e-8
 """Error of x/z and y/z, and step of a joint [rad], at convergence: one more step squares it."""
 
 
-def solve_fixation(
-    calibration: HeadCalibration, targets: Mapping[str, Array], *, limits_rad: Array | None = None
-) -> Array:
+def solve_fixation(calibration: HeadCalibration, targets: Mapping[str, Array]) -> Array:
     """Compute the readings (..., r) [rad] that centre a point in each of some cameras.
 
     Gauss-Newton iteration to machine precision, with the joints' imperfections and with the cameras
@@ -36,8 +34,6 @@ def solve_fixation(
         calibration: of the head.
         targets: by camera, points (..., 3) [m] in the base frame of its eye, to be centred on the
             principal point, so that the lens does not matter.
-        limits_rad: (r,) the largest readings to either side, within which the points are centred
-            as nearly as possible; None: no limits.
 
     Returns:
         Readings in the order of kinematics.readings; NaN for those that move no eye of these
@@ -49,24 +45,17 @@ def solve_fixation(
     """
     kinematics = calibration.kinematics
     shape = np.broadcast_shapes(*(points.shape[:-1] for points in targets.values()))
-    r = len(kinematics.readings)
-    limits = np.full(r, np.inf) if limits_rad is None else limits_rad
-    readings = np.full((*shape, r), np.nan)
-    by_eye = {name: kinematics.used(calibration.camera(name).eye) for name in targets}
-    coupled = len(set().union(*by_eye.values())) < sum(map(len, by_eye.values()))
+    readings = np.full((*shape, len(kinematics.readings)), np.nan)
+    by_camera = {name: kinematics.used(calibration.camera(name).eye) for name in targets}
+    coupled = len(set().union(*by_camera.values())) < sum(map(len, by_camera.values()))
     for names in [list(targets)] if coupled else [[name] for name in targets]:
-        used = sorted(set().union(*(by_eye[name] for name in names)))
+        used = sorted(set().union(*(by_camera[name] for name in names)))
         some = {name: np.broadcast_to(targets[name], (*shape, 3)) for name in names}
-        readings[..., used] = _centre(calibration, some, used, limits[used])
+        readings[..., used] = _centre(calibration, some, used)
     return readings
 
 
-def _centre(
-    calibration: HeadCalibration,
-    targets: Mapping[str, Array],
-    used: list[int],
-    limits: Array,
-) -> Array:
+def _centre(calibration: HeadCalibration, targets: Mapping[str, Array], used: list[int]) -> Array:
     """Compute the readings (..., u) of one eye, or of two that share a joint."""
     kinematics, points, cameras = calibration.kinematics, {}, {}
     usable, turns, maps = np.asarray(True), [], []
@@ -90,26 +79,16 @@ def _centre(
         found = [_off_centre(kinematics, cameras[name], readings, p) for name, p in points.items()]
         errors, jacobians, fronts = zip(*found, strict=True)
         error = np.concatenate(errors, axis=-1)
-        J: Array = np.concatenate(jacobians, axis=-2)
-        step = _gauss_newton(J[..., used], error)
-        now = readings[..., used]
-        held = (np.abs(now) >= limits) & (now * step < 0)
-        if held.any():  # joints that rest against a limit leave the others to do the best
-            free = np.where(held[..., None, :], 0.0, J[..., used])
-            step = np.where(held, 0.0, _gauss_newton(free, error))
+        J: Array = np.concatenate(jacobians, axis=-2)[..., used]
+        step = (np.linalg.pinv(J) @ error[..., None])[..., 0]
         turn = np.clip(factors * step, -0.5, 0.5)  # [rad], as far as the projection is linear
-        readings[..., used] = np.clip(now - turn / factors, -limits, limits)
+        readings[..., used] -= turn / factors
         front = np.concatenate(fronts, axis=-1).all(axis=-1)
-        small = (np.abs(turn) < _CONVERGED).all(axis=-1)
-        settled = small & (np.abs(error) < reached).all(axis=-1)  # the error before this step
-        if (settled | (small & held.any(axis=-1)) | ~front).all():
+        settled = (np.abs(turn) < _CONVERGED).all(axis=-1)
+        settled &= (np.abs(error) < reached).all(axis=-1)  # the error before this step
+        if (settled | ~front).all():
             break
-    good = usable & front & (settled | np.isfinite(limits).any())
-    return np.where(good[..., None], readings[..., used], np.nan)
-
-
-def _gauss_newton(J: Array, error: Array) -> Array:
-    return (np.linalg.pinv(J) @ error[..., None])[..., 0]
+    return np.where((usable & front & settled)[..., None], readings[..., used], np.nan)
 
 
 def _off_centre(
