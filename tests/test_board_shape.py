@@ -10,11 +10,11 @@ import simulated_recording
 from simulated_head import random_head
 from simulated_recording import POINTS, Noise, Recording, moving_recording, record
 from texts import texts
-from vergence.calibration.board_shape import (
+from vergence.calibration.calibrate import calibrate
+from vergence.calibration.excitation import (
     stretch,
     stretched_board,
 )
-from vergence.calibration.calibrate import calibrate
 from vergence.calibration.intrinsics import calibrate_intrinsics, lenses_of_the_paper
 from vergence.calibration.observations import Observations
 from vergence.geometry.board import corner_points

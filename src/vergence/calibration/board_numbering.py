@@ -22,11 +22,9 @@ from vergence.geometry.board import Board, Charuco, corner_points
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.se3 import known_poses, nearest_rotation, pose, rotation, rotvec
 
-SPREAD_RAD = 0.05
-"""Angle between views that are numbered alike: gains of a few percent, joint noise of half a degree
-and preliminary lenses stay below."""
-CAP = 50.0
-"""Largest cost of one comparison [nats]: ten times the spread."""
+SPREAD_RAD, CAP = 0.05, 50.0
+"""Angle between views that are numbered alike (gains of a few percent, joint noise of half a degree
+and preliminary lenses stay below), and largest cost of one comparison [nats]."""
 PRIOR = float(np.log(2.0))
 """Cost of turning a board [nats]: at most a third of them are turned."""
 CLEAR = 10.0
@@ -36,12 +34,10 @@ MOST_TURNED_RAD = np.radians(30.0)
 parallel."""
 LEAST_SPREAD_RAD = 0.02
 """Minimum root mean square turn about the second axis that places a camera in its eye."""
-MOST_OFFERS = 100
-"""Number of views that propose a solution; more propose nothing new."""
 EXACT_RAD = np.radians(0.1)
-"""Misfit below which the L1 fit weighs all turns alike."""
+"""Misfit below which the L1 fit weighs all turns alike: the noise of a good encoder."""
 MOST_PAIRED = 20
-"""Views with which each view is paired; more make the median no better."""
+"""Number of views with which each view is paired; five times as many propose a rotation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,28 +55,17 @@ class Renumbered:
 
 @dataclass(eq=False)
 class _Camera:
-    """What one camera saw in N views, and what is found out about it."""
+    """What one camera saw in N views; turns and unclear are filled in."""
 
     e: int
     view: np.ndarray
-    """(N,)."""
     placement: np.ndarray
-    """(N,)."""
     R_cam_target: Array
-    """(N, 3, 3)."""
     R_base_eye: Array
-    """(N, 3, 3)."""
     turns: np.ndarray
-    """(N,)."""
     unclear: np.ndarray
-    """(N,) of bool."""
     R_eye_cam: Array | None = None
-    """(3, 3); None: the eye moved too little before one board."""
-
-    def R_base_target(self, S: Array) -> Array:
-        """The boards (N, 3, 3) in the eye's base, as they are numbered now."""
-        assert self.R_eye_cam is not None
-        return self.R_base_eye @ self.R_eye_cam @ self.R_cam_target @ S[self.turns]
+    """None: the eye moved too little before one board."""
 
 
 def number_alike(observations: Observations, T_cam_target: Mapping[str, Array]) -> Renumbered:
@@ -94,19 +79,17 @@ def number_alike(observations: Observations, T_cam_target: Mapping[str, Array]) 
     unclear = {name: np.zeros(V, dtype=bool) for name in observations.corners}
     if isinstance(board, Charuco):
         return Renumbered(observations, T_cam_target, turns, unclear)
-    S, poses = symmetries(board), observations.eye_poses()
-    cameras = {}
-    for name, eye in camera_eyes(observations).items():
-        if name in T_cam_target:
-            e = EYES.index(eye)
-            cameras[name] = _by_readings(observations.placement, T_cam_target[name], poses, e, S)
+    S, poses, eyes = symmetries(board), observations.eye_poses(), camera_eyes(observations)
+    cameras = {
+        name: _by_readings(observations.placement, T, poses, EYES.index(eyes[name]), S)
+        for name, T in T_cam_target.items()
+    }
     parallel = observations.T_base_eye is None
     _join(list(cameras.values()), S, MOST_TURNED_RAD if parallel else np.pi)
-    _turn_fewest(cameras, S)
+    _turn_fewest(list(cameras.values()), S)
     for name, camera in cameras.items():
-        turns[name][camera.view], unclear[name][camera.view] = camera.turns, camera.unclear
-    for name in turns:
-        turns[name][unclear[name]] = 0
+        turns[name][camera.view] = np.where(camera.unclear, 0, camera.turns)
+        unclear[name][camera.view] = camera.unclear
     middle = corner_points(board).mean(axis=0)
     T_turn = pose(S, middle - S @ middle)  # about the board's middle
     return Renumbered(
@@ -176,32 +159,22 @@ def _by_readings(
     """Turn the boards of each placement so that one camera's views agree with the readings."""
     view = np.flatnonzero(known_poses(T_cam_target) & known_poses(T_base_eye[:, e]))
     R_cam, R_eye = T_cam_target[view, :3, :3], T_base_eye[view, e, :3, :3]
-    camera = _Camera(
-        e, view, placement[view], R_cam, R_eye, np.zeros(len(view), int), np.zeros(len(view), bool)
-    )
-    groups = [np.flatnonzero(camera.placement == p) for p in np.unique(camera.placement)]
-    groups = [group for group in groups if len(group) > 1]
-    for group in groups:
+    turns, unclear, placement = np.zeros(len(view), int), np.zeros(len(view), bool), placement[view]
+    for p in np.unique(placement):
+        here = np.flatnonzero(placement == p)
         # A rotation's angle is the same in every frame: the mounting is not needed.
-        between = np.einsum("iab,nbc,jac->ijn", R_cam[group], S, R_cam[group], optimize=True)
-        read = np.einsum("iab,jab->ij", R_eye[group], R_eye[group])
+        between = np.einsum("iab,nbc,jac->ijn", R_cam[here], S, R_cam[here], optimize=True)
+        read = np.einsum("iab,jab->ij", R_eye[here], R_eye[here])
         off = np.abs(_angles(between) - _angles(read)[..., None])
-        camera.turns[group], evidence = _agreed(off)
-        camera.unclear[group] = evidence < CLEAR
-    chosen = most_seen(camera.placement, ~camera.unclear)
-    if len(chosen) < 3:
-        return camera
-    motion = rotvec(np.swapaxes(R_eye[chosen[:1]], 1, 2) @ R_eye[chosen])
-    spread = np.linalg.svd(motion - motion.mean(axis=0), compute_uv=False) / np.sqrt(len(chosen))
-    if spread[1] >= LEAST_SPREAD_RAD:
-        camera.R_eye_cam, *_ = fit_turns(R_eye[chosen], R_cam[chosen] @ S[camera.turns[chosen]])
-        # With the mounting not only angles can be compared, but rotations.
-        R = R_eye @ camera.R_eye_cam @ R_cam
-        for group in groups:
-            off = _angles(np.einsum("iab,nbc,jac->ijn", R[group], S, R[group], optimize=True))
-            turns, evidence = _agreed(off)
-            if (evidence >= CLEAR).sum() >= (~camera.unclear[group]).sum():
-                camera.turns[group], camera.unclear[group] = turns, evidence < CLEAR
+        turns[here], evidence = _agreed(off)
+        unclear[here] = (evidence < CLEAR) & (len(here) > 1)
+    camera = _Camera(e, view, placement, R_cam, R_eye, turns, unclear)
+    chosen = most_seen(placement, ~unclear)
+    if len(chosen) > 2:
+        motion = rotvec(np.swapaxes(R_eye[chosen[:1]], 1, 2) @ R_eye[chosen])
+        spread = np.linalg.svd(motion - motion.mean(axis=0), compute_uv=False)
+        if spread[1] >= LEAST_SPREAD_RAD * np.sqrt(len(chosen)):
+            camera.R_eye_cam, *_ = fit_turns(R_eye[chosen], R_cam[chosen] @ S[turns[chosen]])
     return camera
 
 
@@ -213,20 +186,13 @@ def _agreed(off: Array) -> tuple[np.ndarray, Array]:
     N, n = off.shape[0], off.shape[2]
     cost = _cost(off)
     cost[np.arange(N), np.arange(N)] = 0.0
-    relative, (i, j) = cost.argmin(axis=2), np.indices((N, N))
-
-    def total(turns: np.ndarray) -> float:
-        return float(cost[i, j, (turns[:, None] - turns) % n].sum())
-
-    def options(turns: np.ndarray) -> Array:
-        return np.stack([cost[i, j, (k - turns) % n].sum(axis=1) for k in range(n)], axis=1)
-
-    offers = np.unique(np.linspace(0, N - 1, MOST_OFFERS).astype(int))
-    turns = relative[:, min(offers, key=lambda r: total(relative[:, r]))]
-    for _ in range(10):
-        turns = options(turns).argmin(axis=1)
-    evidence = np.diff(np.sort(options(turns), axis=1)[:, :2], axis=1)[:, 0]
-    return (turns - np.bincount(turns, minlength=n).argmax()) % n, evidence
+    reference = cost.min(axis=2).sum(axis=0).argmin()  # the one that agrees with most
+    turns, (i, j) = cost[:, reference].argmin(axis=1), np.indices((N, N))
+    options = cost[:, reference]
+    for _ in range(5):
+        options = np.stack([cost[i, j, (k - turns) % n].sum(axis=1) for k in range(n)], axis=1)
+        turns = options.argmin(axis=1)
+    return turns, np.diff(np.sort(options, axis=1)[:, :2], axis=1)[:, 0]
 
 
 def _join(cameras: list[_Camera], S: Array, most_turned_rad: float) -> None:
@@ -237,20 +203,20 @@ def _join(cameras: list[_Camera], S: Array, most_turned_rad: float) -> None:
     """
     placed: dict[int, Array] = {}
     bases: dict[int, Array] = {}
-    waiting = sorted(
-        (camera for camera in cameras if len(camera.view)),
-        key=lambda camera: (camera.R_eye_cam is None, -len(camera.view)),
-    )
+    waiting = [camera for camera in cameras if len(camera.view)]
+    waiting.sort(key=lambda camera: (camera.R_eye_cam is None, -len(camera.view)))
     while waiting:
-        linked = [c for c in waiting if not placed or (_common(c, placed) and _placeable(c, bases))]
-        camera = linked[0] if linked else waiting[0]
+        linked = [c for c in waiting if np.isin(c.placement, list(placed)).any()]
+        camera = (linked or waiting)[0]
         waiting.remove(camera)
-        if camera.R_eye_cam is None and camera.e not in bases:
+        mounted = camera.R_eye_cam is not None
+        common = np.flatnonzero(np.isin(camera.placement, list(placed)) & ~camera.unclear)
+        if not mounted and not (len(common) and camera.e in bases):
             camera.unclear[:] = True
             continue
-        mounted = camera.R_eye_cam is not None
-        R = camera.R_base_target(S) if mounted else camera.R_cam_target @ S[camera.turns]
-        common = np.flatnonzero(np.isin(camera.placement, list(placed)) & ~camera.unclear)
+        R = camera.R_cam_target @ S[camera.turns]
+        if mounted:
+            R = camera.R_base_eye @ camera.R_eye_cam @ R
         Y = np.eye(3)
         if len(common):
             A = np.array([placed[int(p)] for p in camera.placement[common]])
@@ -266,46 +232,33 @@ def _join(cameras: list[_Camera], S: Array, most_turned_rad: float) -> None:
                 here = camera.placement == p
                 camera.turns[here] = (camera.turns[here] + k) % len(S)
                 camera.unclear[here] |= not clear
-            R = camera.R_base_target(S) if mounted else camera.R_cam_target @ S[camera.turns]
+                R[here] = R[here] @ S[k]
         if mounted:
             bases.setdefault(camera.e, Y)
-            in_frame = bases[camera.e] @ R
-        elif len(common):
-            in_frame = bases[camera.e] @ camera.R_base_eye @ Y @ R
         else:
-            camera.unclear[:] = True
-            continue
+            R = camera.R_base_eye @ Y @ R
         for p in np.unique(camera.placement[~camera.unclear]):
             here = (camera.placement == p) & ~camera.unclear
-            placed.setdefault(int(p), nearest_rotation(in_frame[here].sum(axis=0)))
+            placed.setdefault(int(p), nearest_rotation((bases[camera.e] @ R[here]).sum(axis=0)))
 
 
-def _turn_fewest(cameras: Mapping[str, _Camera], S: Array) -> None:
+def _turn_fewest(cameras: list[_Camera], S: Array) -> None:
     """Of the numberings that agree choose for each placement the one that turns fewest images.
 
     Of several it is the one in which boards are held the same way up as in most images.
     """
-    n = len(S)
-    for p in np.unique(np.concatenate([camera.placement for camera in cameras.values()])):
-        cost = np.zeros(n)
-        for camera in cameras.values():
-            here = camera.placement == p
+    for p in np.unique(np.concatenate([camera.placement for camera in cameras])):
+        cost = np.zeros(len(S))
+        for camera in cameras:
+            R = camera.R_cam_target[camera.placement == p]
             up = camera.R_cam_target[:, :, 0].mean(axis=0)
-            for k in range(n):
-                turns = (camera.turns[here] + k) % n
-                x = (camera.R_cam_target[here] @ S[turns])[:, :, 0]
-                cost[k] += np.count_nonzero(turns) - (x @ up).sum() / 2 / len(camera.view)
-        for camera in cameras.values():
+            for k in range(len(S)):
+                turns = (camera.turns[camera.placement == p] + k) % len(S)
+                upright = ((R @ S[turns])[:, :, 0] @ up).sum() / len(camera.view)
+                cost[k] += np.count_nonzero(turns) - upright / 2
+        for camera in cameras:
             here = camera.placement == p
-            camera.turns[here] = (camera.turns[here] + int(cost.argmin())) % n
-
-
-def _common(camera: _Camera, placed: Mapping[int, Array]) -> bool:
-    return bool(np.isin(camera.placement, list(placed)).any())
-
-
-def _placeable(camera: _Camera, bases: Mapping[int, Array]) -> bool:
-    return camera.R_eye_cam is not None or camera.e in bases
+            camera.turns[here] = (camera.turns[here] + int(cost.argmin())) % len(S)
 
 
 def _relative(
@@ -324,7 +277,7 @@ def _relative(
         most_rad: largest possible angle of Y; pi: no limit.
     """
     between = np.einsum("lab,nbc,ldc->lnad", A, np.swapaxes(S, 1, 2), B, optimize=True)
-    chosen = np.unique(np.linspace(0, len(A) - 1, MOST_OFFERS).astype(int))
+    chosen = np.unique(np.linspace(0, len(A) - 1, 5 * MOST_PAIRED).astype(int))
     offers = between[chosen].reshape(-1, 9)
     off = _angles(offers @ between.reshape(-1, 9).T).reshape(len(offers), len(A), len(S))
     members = group == np.arange(group.max() + 1)[:, None]

@@ -10,7 +10,7 @@ from typing import get_args
 import numpy as np
 
 from vergence.arrays import single_blas_thread
-from vergence.calibration import board_shape, excitation, plausibility
+from vergence.calibration import excitation, plausibility
 from vergence.calibration.bundle_adjustment import BundleEstimate, bundle_adjust
 from vergence.calibration.cross_validation import (
     bundle_of_part,
@@ -151,8 +151,6 @@ def _about(views: PreparedViews, head: HeadCalibration) -> list[Finding]:
     poses = views.observations.T_base_eye is not None
     return [
         *([] if poses else plausibility.implausible_geometry(head)),
-        *board_shape.stretched_board(
-            *views.at_rest, views.intrinsics, moving=not views.all_at_rest
-        ),
+        *excitation.stretched_board(*views.at_rest, views.intrinsics, moving=not views.all_at_rest),
         *excitation.doubtful_focal_lengths(views.observations, views.T_cam_target, head, focal_std),
     ]

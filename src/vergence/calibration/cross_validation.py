@@ -25,8 +25,8 @@ from vergence.geometry.head import HeadCalibration, main_pair, states_covariance
 from vergence.geometry.head_accuracy import HeldOut
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.parameters import boxminus
-from vergence.geometry.projection import T_lbase_cam, project_at
-from vergence.geometry.se3 import inverse, known_poses, mean_pose, transform
+from vergence.geometry.projection import project_at
+from vergence.geometry.se3 import inverse, transform
 from vergence.stereo.extrinsics import T_rcam_lcam
 from vergence.stereo.triangulation import triangulate_at
 from vergence.stereo.uncertainty import combination
@@ -35,18 +35,14 @@ from vergence.vision.board_pose import LEAST_CORNERS, board_poses, seen_corners
 FOLDS = 5
 """Parts of the views, each predicted from the others."""
 EACH_BELOW = 20
-"""With fewer views each is left out by itself: a fifth of them would be missed too much."""
-
-
+"""Number of views below which leave-one-out is used."""
 BEYOND_CHANCE = 2.0
 """Standard errors by which a prediction must be better to be preferred."""
 BOARD_SIZE = 0.001
 """Relative error of the board's size from which it is reported."""
-LARGEST_JACKKNIFE_RATIO = 2.0
-"""Ratio of standard deviations from which the stated ones are called too small; the folds determine
-it to about a tenth."""
-VOID_RATIO = 10.0
-"""Ratio of standard deviations from which parts of the views contradict each other."""
+JACKKNIFE_LIMITS = 2.0, 10.0
+"""Ratios of standard deviations from which the stated ones are too small (the folds determine it to
+about a tenth), and from which parts of the views contradict each other."""
 VOID_MISFIT = 5.0
 """Held-out error relative to that which noise explains, from which the result must not be used."""
 MISFIT_CAUSES = "look for backlash, a board that moved or bends, and time stamps of moving eyes"
@@ -58,7 +54,7 @@ class PartCalibration:
 
     head: HeadCalibration
     T_lbase_target: Mapping[int, Array]
-    """By number of the placement, where the board stood in the views of this part."""
+    """By number of the placement, where the board stood in this part; empty: not estimated."""
     board_scale: float
     """Size of the board relative to the stated one."""
 
@@ -159,17 +155,14 @@ def held_out(
 
 
 def jackknife_ratio(whole: HeadCalibration, parts: Sequence[HeadCalibration]) -> float | None:
-    """Return how much more calibrations from parts differ from the whole than is stated.
+    """Compare the differences between calibrations from parts and the whole with those stated.
 
-    A ratio of standard deviations, by all parameters; it does not depend on the noise model: where
-    the errors of a view's corners are not independent it exceeds one. None where one of them states
-    no covariance, or there are fewer than two parts.
+    A ratio of standard deviations over all parameters, 1 for independent errors of the stated size;
+    None where a calibration states no covariance, or there are fewer than two parts.
 
-    A calibration without some views differs from that of all by the information of these views:
-    the covariance of the difference is its own covariance minus that of the whole. With many views
-    both are nearly the same, and the sum over k folds of their differences is k / (k - 1) times the
-    covariance of the whole: the usual jackknife. With few views the rest may know much less than
-    the whole does, and differ by as much, although nothing is wrong.
+    The covariance of the difference is that of the part less that of the whole. With many views
+    both are nearly the same, and the sum over k folds is k / (k - 1) times the covariance of the
+    whole, as in the usual jackknife; with few views a part knows much less.
     """
     stated = [
         dict(zip(a.parameters, np.diag(a.covariance), strict=True)) if a else {}
@@ -280,10 +273,10 @@ def cross_validate(
         return found, [warning("no-held-out-points", sentence)]
     findings, ratio = [], found.jackknife_ratio or 0.0
     differ = f"Calibrations from parts of the views differ {ratio:.1f} times as much as stated"
-    if ratio > VOID_RATIO:
+    if ratio > JACKKNIFE_LIMITS[1]:
         sentence = f"{differ}: they contradict each other; look for views with wrong readings."
         findings.append(void("views-contradict", sentence))
-    elif ratio > LARGEST_JACKKNIFE_RATIO:
+    elif ratio > JACKKNIFE_LIMITS[0]:
         sentence = (
             f"{differ}: true errors are larger than the stated ones by as much at least; look for "
             "errors that corners share (a board that bends, blur)."
@@ -360,28 +353,8 @@ def bundle_of_part(
     return PartCalibration(head, found.T_lbase_target, found.board_scale)
 
 
-def placed_boards(
-    head: HeadCalibration, seen: Observations, T_cam_target: Mapping[str, Array]
-) -> dict[int, Array]:
-    """Return where the board of each placement stands, by the cameras that see it."""
-    eye_poses, found = seen.eye_poses(head), {}
-    for number in np.unique(seen.placement):
-        rows = seen.placement == number
-        views = [
-            T_lbase_cam(m, head.T_rbase_lbase, eye_poses[rows, EYES.index(m.eye)])
-            @ T_cam_target[name][rows]
-            for name, m in head.cameras.items()
-            if name in T_cam_target
-        ]
-        T = np.concatenate(views)
-        T = T[known_poses(T)]
-        if len(T):
-            found[int(number)] = mean_pose(T)
-    return found
-
-
 def paper_of_part(views: PreparedViews, rows: np.ndarray) -> PartCalibration:
     """Calibrate a part of the views (V,) by the paper's steps."""
-    part, T_part = views.take(rows)
+    part, _ = views.take(rows)
     head = calibrate_sequentially(part.take(part.at_rest), lenses=views.models).head
-    return PartCalibration(head, placed_boards(head, part, T_part), 1.0)
+    return PartCalibration(head, {}, 1.0)

@@ -1,4 +1,4 @@
-"""Whether the eyes and the board moved enough for a calibration.
+"""Whether eyes and board moved enough for a calibration, and whether the board is stretched.
 
 A start that rests on noise leads bundle adjustment to a wrong optimum, whose stated accuracy is
 wrong as well; motion that is too small is refused before. The images show how far an eye turned.
@@ -12,12 +12,17 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.bundle_findings import ADVISED
+from vergence.calibration.intrinsics import Intrinsics
+from vergence.calibration.lens_statistics import jackknife_covariance, noise_covariance
+from vergence.calibration.lenses import without_poses
 from vergence.calibration.observations import Observations, camera_eyes, most_seen
 from vergence.errors import VergenceError, counted
-from vergence.findings import Finding, warning
+from vergence.findings import Finding, void, warning
+from vergence.geometry.board import corner_points
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES, eye_joint_angles
 from vergence.geometry.se3 import known_poses, rotvec
+from vergence.vision.board_pose import board_errors, determines_pose, seen_corners
 
 LEAST_MOTION_RAD = 0.01
 """Minimum root mean square turn of an eye about its second axis: with a joint noise of 0.3 degrees
@@ -27,6 +32,13 @@ ONE_ANGLE_RAD = 0.1
 FOCAL_PART, FOCAL_SURE = 0.004, 1e-4
 """Standard deviation of a focal length, relative to it, from which it is doubted, and below which
 the eye's own turns have slanted the board."""
+STRETCH_VIEWS, STRETCH_SIGNIFICANT = 6, 4.0
+"""Minimum number of views per camera needed to estimate scatter, and significance threshold [sigma]
+of a stretched board."""
+LEAST_STRETCH, LEAST_STRETCH_IN_MOTION = 5e-4, 1e-3
+"""Stretch that makes focal lengths as wrong as good recordings leave them uncertain, and with which
+rows of moving eyes must not be used: with 0.2 % and corners known to 0.01 px points were wrong by
+12 % where rows at rest left 1 %, since the images of one motion share the error."""
 SLANT = "slant the board by 20 to 40 degrees, in different directions"
 
 
@@ -115,3 +127,86 @@ def doubtful_focal_lengths(
             )
             findings.append(warning("boards-at-one-angle", sentence, name))
     return findings
+
+
+def stretch(
+    observations: Observations,
+    T_cam_target: Mapping[str, Array],
+    intrinsics: Mapping[str, Intrinsics],
+) -> tuple[float, float]:
+    """Estimate how much higher than wide squares are, relative to it, with its standard deviation.
+
+    A board that a printer has stretched looks like pixels that are not square; where boards are
+    rolled or slanted the stretch turns with the board, and that of the pixels does not. The
+    deviation is infinite where no camera shows it. T_cam_target has by camera the poses (V, 4, 4)
+    of the board by its intrinsics, NaN where not known.
+    """
+    points, found = corner_points(observations.board), []
+    for name, each in intrinsics.items():
+        corners, T = observations.corners[name], T_cam_target[name]
+        usable = determines_pose(points, seen_corners(corners)) & known_poses(T)
+        found.append(_stretch_of_camera(each, T[usable], corners[usable], points))
+    values, stds = np.array(found).reshape(-1, 2).T
+    information = (1 / stds**2).sum()
+    if not information > 0:
+        return 0.0, np.inf
+    return float((values / stds**2).sum() / information), float(1 / np.sqrt(information))
+
+
+def stretched_board(
+    observations: Observations,
+    T_cam_target: Mapping[str, Array],
+    intrinsics: Mapping[str, Intrinsics],
+    *,
+    moving: bool,
+) -> list[Finding]:
+    """Find squares that are not square; the arguments are stretch's.
+
+    With rows of moving eyes, whose images share the error, the result must not be used.
+    """
+    value, std = stretch(observations, T_cam_target, intrinsics)
+    if not abs(value) > max(STRETCH_SIGNIFICANT * std, LEAST_STRETCH):
+        return []
+    board = observations.board
+    height_m = (1 + value) * (board.square_y_m or board.square_m)
+    sentence = (
+        f"The squares of the board are {100 * abs(value):.2f} % "
+        f"{'higher' if value > 0 else 'lower'} than wide by the images (one standard deviation: "
+        f"{100 * std:.2f} %), which makes focal lengths wrong by as much: measure the board along "
+        "its rows and its columns, state both sides in dataset.json (by the images "
+        f"board.square_y_m is {height_m:.6g} if board.square_m is right), and check that it is "
+        "flat."
+    )
+    if moving and abs(value) > LEAST_STRETCH_IN_MOTION:
+        sentence += " With rows of moving eyes it makes gains and axes wrong; leave them out."
+        return [void("stretched-board-in-motion", sentence)]
+    return [warning("stretched-board", sentence)]
+
+
+def _stretch_of_camera(
+    lens: Intrinsics, T_cam_target: Array, corners: Array, points: Array
+) -> tuple[float, float]:
+    """Return the stretch and its standard deviation, by one step of least squares from a fit.
+
+    The deviation is infinite where views or corners are too few.
+    """
+    camera, step_m = lens.camera, 1e-6
+    errors, by_pose, by_lens = board_errors(camera, T_cam_target, corners, points)
+    stretched, *_ = board_errors(camera, T_cam_target, corners, points * [1, 1 + step_m, 1])
+    by_stretch = (stretched - errors)[..., None] / step_m
+    by_all = np.concatenate([by_lens[..., lens.free], by_stretch], axis=2)
+    # A view of few corners may have a pose that puts one of them behind the camera.
+    before = np.isfinite(errors).all(axis=1) & np.isfinite(by_all).all(axis=(1, 2))
+    if before.sum() < STRETCH_VIEWS:
+        return 0.0, np.inf
+    errors, corners = errors[before], corners[before]
+    rest = without_poses(by_pose[before], by_all[before])
+    information_inverse = noise_covariance(rest, 1.0)
+    step = -information_inverse @ np.einsum("vin,vi->n", rest, errors)
+    left = errors + rest @ step
+    redundancy = 2 * seen_corners(corners).sum() - 6 * len(corners) - rest.shape[2]
+    if redundancy < 1:
+        return 0.0, np.inf
+    variance = (left**2).sum() / redundancy
+    by_noise, by_views = information_inverse * variance, jackknife_covariance(left, rest)
+    return float(step[-1]), float(np.sqrt(max(by_noise[-1, -1], by_views[-1, -1])))
