@@ -200,7 +200,7 @@ def test_a_motion_that_is_not_said_to_be_one_is_remarked(folder):
     ]
     write_table(folder, soon)
     (remark,) = texts(load_dataset(folder).findings, "note")
-    assert remark.startswith("3 rows have other joint angles than the row before")
+    assert remark.startswith("The eyes turn on in 2 rows")
     for moving_or_at_one_place in ({"moving": 1}, dict.fromkeys(EYE_JOINTS, 0.1)):
         write_table(folder, [row | moving_or_at_one_place for row in soon])
         assert load_dataset(folder).findings == ()

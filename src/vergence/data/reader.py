@@ -147,14 +147,16 @@ def _unmarked_motion(
 ) -> Iterator[Finding]:
     """Note rows that are stated to be at rest but belong to a motion."""
     angles = [eye_joint_angles(kinematics, eye, eye_angles) for eye in EYES]
-    turned = np.nan_to_num(np.abs(np.diff(np.concatenate(angles, axis=1), axis=0)))
-    turned = turned.max(axis=1, initial=0.0)  # readings of an eye without a camera may be missing
-    soon = np.diff(joint_time_s) <= MAX_GAP_S
-    odd = int(((turned > MOVED_RAD) & soon & ~(moving[1:] & moving[:-1])).sum())
-    if odd >= LEAST_MOVING:
+    # Readings of an eye without a camera may be missing.
+    steps = np.nan_to_num(np.diff(np.concatenate(angles, axis=1), axis=0))
+    steps[(np.diff(joint_time_s) > MAX_GAP_S) | (moving[1:] & moving[:-1])] = 0.0
+    # A motion goes on in one direction; noise of readings at rest goes to and fro.
+    goes_on = np.minimum(steps[1:], steps[:-1]), np.minimum(-steps[1:], -steps[:-1])
+    odd = int((np.maximum(*goes_on) > MOVED_RAD).any(axis=1).sum())
+    if odd >= LEAST_MOVING - 1:  # a row at each end
         sentence = (
-            f"{odd} rows have other joint angles than the row before, which is at most {MAX_GAP_S} "
-            "s older, and `moving` is not 1: if the eyes moved while the images were taken, set it "
-            "to 1, so that the time of a reading counts."
+            f"The eyes turn on in {odd} rows that are at most {MAX_GAP_S} s apart, and `moving` is "
+            "not 1: if the eyes moved while the images were taken, set it to 1, so that the time "
+            "of a reading counts."
         )
         yield note("unmarked-motion", sentence)
