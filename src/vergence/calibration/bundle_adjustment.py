@@ -180,7 +180,7 @@ def bundle_adjust(
 def _levels(
     problem: BundleProblem, pixel_std_px: float | None, joint_std: Array | None
 ) -> list[Level]:
-    """Return the noise levels: that of the cameras, and those of the readings."""
+    """List the noise levels: that of the cameras, and those of the readings."""
     names = list(dict.fromkeys(problem.readings.level))
     if joint_std is not None and len(joint_std) not in (1, len(names)):
         raise VergenceError(
@@ -255,7 +255,7 @@ def _estimate(
 
 
 def _residuals(problem: BundleProblem, found: Adjustment, views: int) -> dict[str, Array]:
-    """Return by camera the errors (V, K, 2) of its corners, or (V, 6); NaN where not seen."""
+    """Collect by camera the errors (V, K, 2) of its corners, or (V, 6); NaN where not seen."""
     measured, detections = problem.measured, problem.measured.detections
     seen = np.repeat(measured.seen, measured.together, axis=1)
     errors = np.where(seen, found.errors[0], np.nan)
@@ -281,7 +281,7 @@ def check_noise(joint_std: float | tuple[float, float] | None, **above_zero: flo
 
 
 def fixed_by_default(start: HeadCalibration, *, timed: bool) -> set[str]:
-    """Return the names of the parameters that bundle_adjust does not touch unless asked to.
+    """Name the parameters that bundle_adjust does not touch unless asked to.
 
     - Offsets of an eye's first and last joint: an offset of tilt is a turn of T_eye_cam, one of
       pan a turn of the base frame, and no image distinguishes them.
@@ -300,7 +300,7 @@ def fixed_by_default(start: HeadCalibration, *, timed: bool) -> set[str]:
 
 
 def covariance_of(estimate: BundleEstimate, name: str) -> Array:
-    """Return the covariance of one parameter, or of all that have the name before their last dot.
+    """Look up the covariance of one parameter, or of all that have the name before their last dot.
 
     For example (6, 6) of "left_wide.T_eye_cam" and "T_rbase_lbase", (9, 9) of "left_wide".
     VergenceError if no parameter has this name.

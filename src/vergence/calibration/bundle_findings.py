@@ -61,7 +61,7 @@ class BundleFindings:
     systematic_px: Mapping[str, float]
 
     def all(self, observations: Observations | PoseObservations) -> tuple[Finding, ...]:
-        """Return everything that the reader of a result must know, the most severe first."""
+        """List everything that the reader of a result must know, the most severe first."""
         parts = (
             _doubtful(self),
             _left_out(self, observations),
@@ -89,7 +89,7 @@ class BundleFindings:
 
     @property
     def reading_levels(self) -> list[Level]:
-        """Return the noise levels of the readings."""
+        """List the noise levels of the readings."""
         return [level for level in self.levels if level.latent]
 
     @property
@@ -191,7 +191,7 @@ def _unobservable(of: BundleFindings) -> Iterator[Finding]:
 
 
 def _sparse(rows: Array) -> Array:
-    """Return a basis of the same space with the zeros that pivoted elimination gives."""
+    """Reduce a basis to one of the same space with the zeros that pivoted elimination gives."""
     rows = rows.copy()
     for k in range(len(rows)):
         i, j = np.unravel_index(np.abs(rows[k:]).argmax(), rows[k:].shape)
@@ -203,7 +203,7 @@ def _sparse(rows: Array) -> Array:
 
 
 def _missing_motion(of: BundleFindings) -> str:
-    """Return what to record."""
+    """Describe what to record."""
     board = of.problem.measured.detections.board
     boards = [set(board[of.eyes == eye]) for eye in np.unique(of.eyes)]
     if not set.intersection(*boards):

@@ -180,7 +180,7 @@ def _postures(
     view: np.ndarray,
     eye: np.ndarray,
 ) -> tuple[Index, Postures]:
-    """Return the posture of each of M detections, in views (M,) and by eyes (M,), and all of them.
+    """Assign a posture to each of M detections, in views (M,) and by eyes (M,), and all of them.
 
     VergenceError if a reading that is needed is not finite.
     """
@@ -205,7 +205,7 @@ def _postures(
 
 
 def _latent_columns(kinematics: Kinematics, eyes: list[int]) -> list[list[int]]:
-    """Return which readings are latent in the postures of the left eye and of the right one.
+    """Find which readings are latent in the postures of the left eye and of the right one.
 
     In the order of their kinds, so that those of the two eyes have noise of the same levels. One
     list, for postures of both eyes, where some reading moves both or their kinds differ.
@@ -223,7 +223,7 @@ def _latent_columns(kinematics: Kinematics, eyes: list[int]) -> list[list[int]]:
 def reading_levels(
     detections: Detections, kinematics: Kinematics, least_blocks: float
 ) -> tuple[str, ...]:
-    """Return (n,) the noise level of each latent unknown, by name.
+    """Name the noise level (n,) of each latent unknown.
 
     From some number of postures on each kind of reading has a level, below it all share one, unless
     some are read before a gear, or another one, than others. Where a reading moves both eyes, such
@@ -248,7 +248,7 @@ def reading_levels(
 def _readings(
     observations: Observations | PoseObservations, postures: Postures, level: tuple[str, ...]
 ) -> Readings:
-    """Return the readings of the postures, with their motion where the eyes moved."""
+    """Collect the readings of the postures, with their motion where the eyes moved."""
     timing, poses = observations.timing, observations.T_base_eye
     if timing is None:
         return Readings(postures=postures, level=level)
@@ -262,7 +262,7 @@ def _readings(
 
 
 def _free(start: HeadCalibration, fixed: Collection[str], detections: Detections) -> np.ndarray:
-    """Return (c,) which parameters of a head may change.
+    """Find which parameters (c,) of a head may change.
 
     Fixed are those fixed by choice, those of a camera or eye that saw no board, and the joints
     where poses were measured in place of their angles.
@@ -279,7 +279,7 @@ def _free(start: HeadCalibration, fixed: Collection[str], detections: Detections
 
 
 def _measures_lengths(T_base_eye: Array | None) -> bool:
-    """Return whether measured eye poses determine lengths, and with them the size of the board.
+    """Check whether measured eye poses determine lengths, and with them the size of the board.
 
     Angles do not, nor poses of eyes that turn about a point: the stated board then sets the scale.
     """

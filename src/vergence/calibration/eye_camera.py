@@ -147,7 +147,7 @@ def refine_eye_camera(
 def _observations(
     pixels: Array, camera: Camera, kinematics: Kinematics, angles: Array | None, T_read: Array
 ) -> Observations:
-    """Return N views (N, K, 2) of one board at rest by a camera called _NAME in the left eye.
+    """Describe views (N, K, 2) of one board at rest by a camera called _NAME in the left eye.
 
     The eye's motion is given by angles (N, r) or, where they are None, by poses T_read (N, 4, 4).
     """
@@ -167,7 +167,7 @@ def _observations(
 def _intrinsics_prior(
     head: HeadCalibration, covariance: Array | None
 ) -> tuple[list[str], list[ParametersPrior]]:
-    """Return which intrinsics are uncertain, and their prior; VergenceError for a wrong one."""
+    """Find which intrinsics are uncertain, and their prior; VergenceError for a wrong one."""
     names = [f"{_NAME}.{name}" for name in intrinsics_names(head.cameras[_NAME].intrinsics)]
     if covariance is None:
         return [], []
@@ -206,7 +206,7 @@ def _check(eye: Array, pixels: Array, points: Array, kinematics: Kinematics) -> 
 
 
 def _checked_start(start: ArrayLike) -> Array:
-    """Return a start as an array; VergenceError if it is not a pose."""
+    """Read a start as an array; VergenceError if it is not a pose."""
     T = np.asarray(start, dtype=float)
     if T.shape != (4, 4) or not np.isfinite(T).all():
         raise VergenceError(f"start is T_eye_cam, 4 x 4 finite numbers; found {T.tolist()}.")

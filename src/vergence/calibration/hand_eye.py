@@ -21,7 +21,7 @@ ones only."""
 
 
 def motion_pairs(T_base_eye: Array, T_cam_target: Array) -> tuple[Array, Array]:
-    """Return A and B (P, 4, 4) of Eqs. 5-6 for all pairs of N views of a fixed board.
+    """Pair the motions A and B (P, 4, 4) of Eqs. 5-6 for all pairs of N views of a fixed board.
 
     All pairs carry more information than the pairs with view 0, which the paper prints.
     """
@@ -32,7 +32,7 @@ def motion_pairs(T_base_eye: Array, T_cam_target: Array) -> tuple[Array, Array]:
 
 
 def solve_rotation(a: Array, b: Array) -> Array:
-    """Return R_X (3, 3) of Eq. 9, the least-squares solution of a = R_X b (Eq. 7).
+    """Solve for R_X (3, 3) of Eq. 9, the least-squares solution of a = R_X b (Eq. 7).
 
     Rotation vectors a (P, 3) are the eye's motions, b (P, 3) the camera's. (M^T M)^(-1/2) M^T with
     M = sum b a^T is the orthogonal factor of M^T: with the singular values M = U S V^T it is V U^T.
@@ -51,7 +51,7 @@ def solve_rotation(a: Array, b: Array) -> Array:
 
 
 def park_martin(T_base_eye: Array, T_cam_target: Array) -> Array:
-    """Return T_eye_cam (4, 4) from N views of a board at rest.
+    """Compute T_eye_cam (4, 4) from N views of a board at rest.
 
     The eye's poses T_base_eye (N, 4, 4) are from the joint readings, the board's T_cam_target (N,
     4, 4) from the images. VergenceError if shapes do not fit, a pose is not finite, or the motion
@@ -78,7 +78,7 @@ def park_martin(T_base_eye: Array, T_cam_target: Array) -> Array:
 
 
 def robust_park_martin(T_base_eye: Array, T_cam_target: Array) -> Array:
-    """Return park_martin of the largest set of views that agree where the board stands."""
+    """Run park_martin on the largest set of views that agree where the board stands."""
     best = park_martin(T_base_eye, T_cam_target)
     agreeing = _agreeing(best, T_base_eye, T_cam_target)
     if agreeing.all():
@@ -99,12 +99,12 @@ def robust_park_martin(T_base_eye: Array, T_cam_target: Array) -> Array:
 
 
 def _agreeing(T_eye_cam: Array, T_base_eye: Array, T_cam_target: Array) -> np.ndarray:
-    """Return (N,) which views belong to the largest set that agrees on the board's rotation."""
+    """Find which views (N,) belong to the largest set that agrees on the board's rotation."""
     return agreeing_rotations((T_base_eye @ T_eye_cam @ T_cam_target)[:, :3, :3])
 
 
 def agreeing_rotations(R: Array) -> np.ndarray:
-    """Return (N,) which of rotations (N, 3, 3) are within AGREE_RAD of the one with most others."""
+    """Find which rotations (N, 3, 3) are within AGREE_RAD of the one with most others."""
     traces = np.einsum("iab,jab->ij", R, R)
     close = traces > 1 + 2 * np.cos(AGREE_RAD)
     return close[close.sum(axis=1).argmax()]

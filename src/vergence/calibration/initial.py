@@ -131,7 +131,7 @@ def _mounted(
     T_cam_target: Mapping[str, Array],
     points: Array,
 ) -> tuple[dict[str, MountedCamera], int]:
-    """Return an eye's cameras with their T_eye_cam, and in how many views the main one was placed.
+    """Place an eye's cameras in it; also return in how many views the main one was placed.
 
     The main camera is placed by hand-eye calibration, the others relative to it.
     """
@@ -165,7 +165,7 @@ def _between_the_eyes(
     T_cam_target: Mapping[str, Array],
     points: Array,
 ) -> tuple[Array, float | None, int]:
-    """Return T_rbase_lbase, static stereo's RMS [px] and view count.
+    """Compute T_rbase_lbase, static stereo's RMS [px] and view count.
 
     T_rbase_lbase of the given head does not matter; it stays for one eye.
     """

@@ -52,7 +52,7 @@ def calibrate_intrinsics(
     *,
     lenses: Mapping[str, LensModel] | None = None,
 ) -> dict[str, Intrinsics]:
-    """Return the intrinsics of every camera by Zhang's method: the first step.
+    """Calibrate the intrinsics of every camera by Zhang's method: the first step.
 
     From which end a view is numbered does not matter here. Lens models are stated by camera;
     where none is, it is the paper's. VergenceError if a camera has fewer than three views, or they
@@ -73,7 +73,7 @@ def calibrate_intrinsics(
 def lenses_of_the_paper(
     observations: Observations, wide_lens: LensModel = "radial-tangential"
 ) -> dict[str, LensModel]:
-    """Return by camera the lens model of Sec. II-A: narrow cameras have no distortion.
+    """State by camera the lens model of Sec. II-A: narrow cameras have no distortion.
 
     Narrow are those whose names end in "narrow"; all others have the given model.
     """

@@ -81,7 +81,7 @@ class LensChoice:
 def choose_lenses(
     observations: Observations, lens: LensOption | Mapping[str, LensOption] = "auto"
 ) -> dict[str, LensChoice]:
-    """Return the lens model of every camera.
+    """Choose the lens model of every camera.
 
     Args:
         observations: views in which the eyes stood still.
@@ -105,7 +105,7 @@ def choose_lenses(
 def by_camera(
     observations: Observations, lens: LensOption | Mapping[str, LensOption]
 ) -> dict[str, LensOption]:
-    """Return what is stated of each camera's lens; errors are those of choose_lenses."""
+    """Look up what is stated of each camera's lens; errors are those of choose_lenses."""
     names = list(observations.corners)
     stated: dict[str, LensOption] = dict.fromkeys(names, lens if isinstance(lens, str) else "auto")
     if not isinstance(lens, str):
@@ -126,7 +126,7 @@ def by_camera(
 def best_lens(
     corners: Array, points: Array, *, size: tuple[int, int], otherwise: LensModel
 ) -> LensChoice:
-    """Return the lens model that fits and predicts views of a board best, for its coefficients.
+    """Choose the lens model that fits and predicts views of a board best, for its coefficients.
 
     Args:
         corners: (V, K, 2) pixels; NaN where not seen.
@@ -162,7 +162,7 @@ def best_lens(
 
 
 def _choice(criterion: Mapping[LensModel, float], held_out: Mapping[LensModel, float]) -> LensModel:
-    """Return the model that is taken of those with a criterion, the simplest first."""
+    """Choose among models with a criterion, the simplest first."""
     models = list(criterion)
     best = min(models, key=lambda model: criterion[model])
     enough = criterion[best] + MARGIN.get(best, 0.0)
@@ -173,7 +173,7 @@ def _choice(criterion: Mapping[LensModel, float], held_out: Mapping[LensModel, f
 
 
 def _criterion(model: LensModel, fit: LensFit, count: int) -> float:
-    """Return the Bayesian information criterion of a fit to `count` coordinates of corners.
+    """Compute the Bayesian information criterion of a fit to `count` coordinates of corners.
 
     But for what all models share: the noise, whose level is unknown, and the boards' poses.
     """
@@ -182,7 +182,7 @@ def _criterion(model: LensModel, fit: LensFit, count: int) -> float:
 
 
 def _fits(corners: Array, points: Array, size: tuple[int, int]) -> dict[LensModel, LensFit]:
-    """Return the fits of the candidates that these views allow; each starts from one before."""
+    """Fit the candidates that these views allow; each starts from one before."""
     fits: dict[LensModel, LensFit] = {}
     pinhole = pinhole_start(corners, points, size)
     start = pinhole
@@ -199,6 +199,6 @@ def _fits(corners: Array, points: Array, size: tuple[int, int]) -> dict[LensMode
 
 
 def _determined(model: LensModel, fit: LensFit) -> bool:
-    """Return whether there are more corners than unknowns, and a lens that a camera can have."""
+    """Check whether there are more corners than unknowns, and a lens that a camera can have."""
     unknowns = 4 + FREE_COEFFICIENTS[model] + 6 * len(fit.T_cam_target)
     return bool(np.count_nonzero(fit.errors) > unknowns and np.isfinite(fit.errors).all())

@@ -45,18 +45,18 @@ class LensPrior(Residual):
     robust: bool = False
 
     def lens(self, x: Variables) -> Camera:
-        """Return the lens at the unknowns."""
+        """Take the lens at the unknowns."""
         return x["lens"] if self.camera is None else x["head"].cameras[self.camera].intrinsics
 
     def error(self, x: Variables) -> Array:
-        """Return (1, 4) k / std of a fisheye lens, (1, 3) k / mode - 1 of a rational one."""
+        """Compute k / std (1, 4) of a fisheye lens, k / mode - 1 (1, 3) of a rational one."""
         lens = self.lens(x)
         if lens.model == "fisheye":
             return lens.distortion[None] / FISHEYE_STD
         return lens.distortion[None, -3:] / EQUIDISTANT - 1
 
     def rows(self, x: Variables) -> Rows:
-        """Return derivatives that give the gradient and curvature of the log density."""
+        """Compute derivatives that give the gradient and curvature of the log density."""
         lens = self.lens(x)
         if self.camera is None:
             columns = x.columns("lens")
@@ -69,7 +69,7 @@ class LensPrior(Residual):
         return Rows(np.diag(slope)[None], columns[None, end - len(slope) : end])
 
     def costs(self, errors: Array, levels: Levels, outlier: float) -> Array:
-        """Return -2 log of the density, relative to the largest."""
+        """Compute -2 log of the density, relative to the largest."""
         if errors.shape[1] == len(EQUIDISTANT):
             possible = np.maximum(errors, -1)
             with np.errstate(divide="ignore"):
@@ -78,7 +78,7 @@ class LensPrior(Residual):
 
 
 def lens_priors(lens: Camera, free: bool, camera: str | None = None) -> list[LensPrior]:
-    """Return the prior of a lens: none for other models, or if it starts where none can be.
+    """Make the prior of a lens: none for other models, or if it starts where none can be.
 
     Args:
         lens: to start from.

@@ -61,13 +61,13 @@ def held_out_squares(fit: LensFit) -> Array:
 
 
 def _by_view(errors: Array, rest: Array) -> tuple[Array, Array]:
-    """Return what each view adds to the normal equations of the intrinsics: (V, n, n), (V, n)."""
+    """Compute what each view adds to the normal equations of the intrinsics: (V, n, n), (V, n)."""
     rest_T = np.swapaxes(rest, 1, 2)
     return rest_T @ rest, (rest_T @ errors[..., None])[..., 0]
 
 
 def _solve(H: Array, g: Array) -> Array:
-    """Return the shortest x (..., n) of H x = g, in units of H's diagonal; H may be singular."""
+    """Solve for the shortest x (..., n) of H x = g, in units of H's diagonal; H may be singular."""
     scale = np.sqrt(np.maximum(np.diagonal(H, axis1=-2, axis2=-1), 1e-300))
     values, vectors = np.linalg.eigh(H / scale[..., None, :] / scale[..., None])
     inverse = np.where(values > SMALLEST_EIGENVALUE, 1 / np.maximum(values, 1e-300), 0.0)

@@ -84,7 +84,7 @@ class LensFit:
 
     @property
     def sum_squares(self) -> float:
-        """Return the sum of squares of the errors [px^2]."""
+        """Compute the sum of squares of the errors [px^2]."""
         return float((self.errors**2).sum())
 
 
@@ -172,12 +172,12 @@ def fit_model(
 
 
 def free_intrinsics(lens_model: LensModel) -> np.ndarray:
-    """Return which intrinsics a lens model leaves free, as indices of intrinsics_names."""
+    """Find which intrinsics a lens model leaves free, as indices of intrinsics_names."""
     return np.arange(len(PINHOLE) + FREE_COEFFICIENTS[lens_model])
 
 
 def pinhole_start(corners: Array, points: Array, size: tuple[int, int]) -> Start | None:
-    """Return a camera without distortion and the boards before it (Zhang's closed form).
+    """Find a camera without distortion and the boards before it (Zhang's closed form).
 
     Where it has corners behind the camera, other focal lengths are tried. If each has such views,
     the camera is fitted to the others first. None: no camera has all boards in front.
@@ -208,7 +208,7 @@ def pinhole_start(corners: Array, points: Array, size: tuple[int, int]) -> Start
 
 
 def _in_front(camera: Camera, corners: Array, points: Array) -> tuple[Array, np.ndarray]:
-    """Return poses (V, 4, 4) of boards, and which (V,) have all their seen corners in front."""
+    """Find poses (V, 4, 4) of boards, and which (V,) have all their seen corners in front."""
     poses, seen = board_poses(camera, corners, points), seen_corners(corners)
     in_front = transform(poses[:, None], points)[..., 2] > 0
     return poses, np.asarray((in_front | ~seen).all(axis=1))
@@ -247,7 +247,7 @@ def _fit_from(
 
 
 def _rational(fisheye: Camera, T_cam_target: Array, points: Array) -> Camera:
-    """Return the rational lens that is nearest to a fisheye one where it saw boards.
+    """Find the rational lens that is nearest to a fisheye one where it saw boards.
 
     With the denominator of an equidistant lens; the numerator by linear least squares.
     """
@@ -267,7 +267,7 @@ def _rational(fisheye: Camera, T_cam_target: Array, points: Array) -> Camera:
 def _fit_fisheye(
     start: Start | None, corners: Array, points: Array, size: tuple[int, int], tolerance: float
 ) -> LensFit:
-    """Return the best of the fits from several focal lengths: a pinhole fit may be far off."""
+    """Take the best of the fits from several focal lengths: a pinhole fit may be far off."""
     free = free_intrinsics("fisheye")
     starts = [pinhole(*size, size[0] / np.radians(each), model="fisheye") for each in FISHEYE_DEG]
     if start is not None:  # it has the right focal length in the image's middle

@@ -74,7 +74,7 @@ class Postures:
     """(B, 4, 4) measured poses of the eyes; None: angles."""
 
     def eye_poses(self, x: Variables) -> Array:
-        """Return T_base_eye (2, B, 4, 4) of the left and the right eye (the paper's T_er)."""
+        """Compute T_base_eye (2, B, 4, 4) of the left and the right eye (the paper's T_er)."""
         if self.T_base_eye_read is not None:
             T = boxplus(self.T_base_eye_read, x.latent.value)
             return np.stack([T, T])
@@ -82,7 +82,7 @@ class Postures:
         return np.stack([T_base_eye(x["head"].kinematics, eye, readings) for eye in EYES])
 
     def head_readings(self, x: Variables) -> Array:
-        """Return (B, r) the noise-free readings; 0 for those that move no eye of a posture."""
+        """Compute the noise-free readings (B, r); 0 for those that move no eye of a posture."""
         full = np.zeros((len(self.reading), len(x["head"].kinematics.readings)))
         np.put_along_axis(full, self.columns, x.latent.value, axis=1)
         return full
@@ -115,16 +115,16 @@ class Detections:
         return self.postures.view[self.posture]
 
     def of_camera(self, c: int) -> slice:
-        """Return which detections are those of a camera."""
+        """Find which detections are those of a camera."""
         first, end = np.searchsorted(self.camera, [c, c + 1])
         return slice(first, end)
 
     def eye_poses(self, x: Variables) -> Array:
-        """Return T_base_eye (M, 4, 4)."""
+        """Compute T_base_eye (M, 4, 4)."""
         return self.postures.eye_poses(x)[self.eyes, self.posture]
 
     def eye_jacobians(self, x: Variables) -> tuple[list[Array], Array]:
-        """Return the derivatives of the eye poses.
+        """Compute the derivatives of the eye poses.
 
         By the errors of the joints, for each eye (M, 6, a), and by the latent unknowns (M, 6, n).
         """
@@ -142,7 +142,7 @@ class Detections:
 
 
 def left_jacobian(xi: Array) -> Array:
-    """Return (B, 6, 6): boxplus(T, xi + d) = boxplus(boxplus(T, xi), left_jacobian(xi) d)."""
+    """Compute J (B, 6, 6) with boxplus(T, xi + d) = boxplus(boxplus(T, xi), J d)."""
     jacobian = np.tile(np.eye(6), (len(xi), 1, 1))
     term = jacobian[:, :3, :3].copy()
     for k in range(2, 12):  # the series of SO(3), for turns well below 1 rad
@@ -175,13 +175,13 @@ class Reprojection(Residual):
         vars(self).update(element=self.detections.posture)
 
     def in_left_base(self, x: Variables) -> tuple[Array, Array]:
-        """Return corners (M, K, 3) from the board's origin, and in the left eye's base frame."""
+        """Place corners (M, K, 3) from the board's origin, and in the left eye's base frame."""
         T = x["boards"][self.detections.board]
         turned = x["board_scale"] * self.points @ np.swapaxes(T[:, :3, :3], 1, 2)
         return turned, turned + T[:, None, :3, 3]
 
     def error(self, x: Variables) -> Array:
-        """Return (M, 2 K) projected minus seen [px]; NaN if not in front of the camera."""
+        """Compute projected minus seen pixels (M, 2 K); NaN if not in front of the camera."""
         T, (_, points) = self.detections.eye_poses(x), self.in_left_base(x)
         head, projected = x["head"], np.empty_like(self.pixels)
         for c, mounted in enumerate(head.cameras.values()):
@@ -191,7 +191,7 @@ class Reprojection(Residual):
         return errors.reshape(len(errors), -1)
 
     def rows(self, x: Variables) -> Rows:
-        """Return the derivatives; the lens with the most coefficients sets their number."""
+        """Compute the derivatives; the lens with the most coefficients sets their number."""
         head, detections, (M, K) = x["head"], self.detections, self.seen.shape
         columns = [camera_columns(head, name) for name in detections.cameras]
         s = max(map(len, columns)) + 7
@@ -220,7 +220,7 @@ class Reprojection(Residual):
 
 
 def target_columns(x: Variables, of_head: np.ndarray, board: Index) -> Index:
-    """Return the columns (M, a + 7): a parameters of the head, the board's pose, and its size."""
+    """List the columns (M, a + 7): a parameters of the head, the board's pose, and its size."""
     head = np.broadcast_to(x.columns("head")[of_head], (len(board), len(of_head)))
     pose = x.columns("boards")[6 * board[:, None] + np.arange(6)]
     return np.concatenate([head, pose, np.tile(x.columns("board_scale"), (len(board), 1))], axis=1)
@@ -245,7 +245,7 @@ class TargetPoses(Residual):
         vars(self).update(element=self.detections.posture)
 
     def expected(self, x: Variables) -> Array:
-        """Return T_cam_target (M, 4, 4) by the unknowns."""
+        """Compute T_cam_target (M, 4, 4) by the unknowns."""
         head, d = x["head"], self.detections
         T_base_eye, boards = d.eye_poses(x), x["boards"][d.board]
         expected = np.empty_like(boards)
@@ -256,12 +256,12 @@ class TargetPoses(Residual):
         return expected
 
     def error(self, x: Variables) -> Array:
-        """Return (M, 6) expected minus measured poses, in stated standard deviations."""
+        """Compute expected minus measured poses (M, 6) in stated standard deviations."""
         off = boxminus(self.expected(x), self.T_cam_target)
         return np.where(self.seen, (self.whitening @ off[..., None])[..., 0], 0.0)
 
     def rows(self, x: Variables) -> Rows:
-        """Return the derivatives by the mounting, the bases, the joints and the target."""
+        """Compute the derivatives by the mounting, the bases, the joints and the target."""
         head, d, M = x["head"], self.detections, len(self.whitening)
         names = list(head.cameras)
         columns = [camera_columns(head, name) for name in names]
@@ -284,7 +284,7 @@ class TargetPoses(Residual):
         return Rows(self._whitened(x, shared), index, self._whitened(x, latent))
 
     def _whitened(self, x: Variables, rows: Array) -> Array:
-        """Return derivatives (M, 6, n) of the errors, by those of the increments of poses.
+        """Compute derivatives (M, 6, n) of the errors, by those of the increments of poses.
 
         The rotation of an error changes by the inverse of the left Jacobian of SO(3), here to the
         fourth order in an error that is far below 1 rad.
@@ -299,7 +299,7 @@ class TargetPoses(Residual):
 def target_pose_jacobians(
     mounted: MountedCamera, T_rbase_lbase: Array, T_base_eye: Array, T_lbase_target: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """Return derivatives (M, 6, 6) of the increment of T_cam_target.
+    """Compute derivatives (M, 6, 6) of the increment of T_cam_target.
 
     By T_eye_cam, T_base_eye, T_rbase_lbase (zero for the left eye) and T_lbase_target.
     """
@@ -323,7 +323,7 @@ def target_pose_jacobians(
 
 
 def _by_frame(R: Array, arm: Array) -> Array:
-    """Return derivatives (M, 6, 6) of a target's pose by that of a frame between it and the camera.
+    """Compute derivatives (M, 6, 6) of a target's pose by that of a frame before it.
 
     R (M, 3, 3) turns the increment's axes into those of the camera; arm (M, 3) leads from the
     frame's origin to the target's, along the increment's axes.
@@ -360,7 +360,7 @@ class Readings(Residual):
         vars(self).update(element=np.arange(len(self.postures.reading)))
 
     def error(self, x: Variables) -> Array:
-        """Return (B, n) noise-free readings minus readings."""
+        """Compute noise-free readings minus readings (B, n)."""
         off = x.latent.value - self.postures.reading
         if self.coefficients is None:
             return off
@@ -372,7 +372,7 @@ class Readings(Residual):
         return Rows(-self.rate(x)[..., None], time, np.tile(np.eye(n), (B, 1, 1)))
 
     def rate(self, x: Variables) -> Array:
-        """Return (B, n) how fast the joints moved when they were read [1/s]."""
+        """Compute the rates (B, n) of the joints when they were read [1/s]."""
         if self.coefficients is None:
             return np.zeros_like(self.postures.reading)
         return timing.rate(self.coefficients, -x["head"].time_offset_s)

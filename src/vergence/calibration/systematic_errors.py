@@ -85,7 +85,7 @@ def systematic_errors(found: Adjustment) -> tuple[dict[str, float], Array]:
 
 
 def _fields(pixels: Array, width: int, height: int) -> Array:
-    """Return (M, K, 2, 2 n) the n functions in x, and in y, at pixels (M, K, 2)."""
+    """Evaluate the n functions in x, and in y, (M, K, 2, 2 n) at pixels (M, K, 2)."""
     x, y = (2 * pixels[..., k] / (extent - 1) - 1 for k, extent in enumerate((width, height)))
     i, j = np.divmod(np.arange((FIELD_DEGREE + 1) ** 2), FIELD_DEGREE + 1)
     low = i + j <= FIELD_DEGREE
@@ -97,7 +97,7 @@ def _fields(pixels: Array, width: int, height: int) -> Array:
 
 
 def likeliest_std(left: Array, seen: Array) -> float:
-    """Return the coefficients' standard deviation of greatest likelihood for the residuals.
+    """Estimate the coefficients' standard deviation of greatest likelihood for the residuals.
 
     Their projection y onto the fields has the covariance G + s^2 G^2, with G what is left of the
     fields after the fit, in units of the noise.

@@ -169,7 +169,7 @@ def adjust_target_poses(
 
 
 def _whitening(covariance: Mapping[str, Array], name: str, T_cam_target: Array) -> Array:
-    """Return (V, 6, 6) that whiten the errors of poses by one camera."""
+    """Compute matrices (V, 6, 6) that whiten the errors of poses by one camera."""
     V = len(T_cam_target)
     stated = np.asarray(covariance.get(name, np.nan), dtype=float)
     if stated.shape not in ((6, 6), (V, 6, 6)):
@@ -193,7 +193,7 @@ def _start(
     eyes: Mapping[str, Side],
     kinematics: Kinematics,
 ) -> HeadCalibration:
-    """Return a head by Park and Martin's method; T_rbase_lbase from what both eyes see."""
+    """Start with Park and Martin's mountings, and T_rbase_lbase from what both eyes see."""
     mounted, seen = {}, {}
     for name, T in T_cam_target.items():
         eye = eyes[name]
@@ -276,7 +276,7 @@ def _check_not_stuck(
 
 
 def _median_turn(T: Array) -> float:
-    """Return the median angle [rad] between poses (N, 4, 4) and their mean."""
+    """Compute the median angle [rad] between poses (N, 4, 4) and their mean."""
     return float(np.median(angle((inverse(mean_pose(T)) @ T)[:, :3, :3])))
 
 

@@ -48,7 +48,7 @@ _MOVED = 0.2
 
 
 def lens_scale(lens: Camera) -> Array:
-    """Return (n,) the scales of the intrinsics of a lens."""
+    """Compute the scales (n,) of the intrinsics of a lens."""
     f = lens.matrix[0, 0]
     # Of the image's corner: normalised radius or, for a fisheye lens, angle.
     reach = np.hypot(lens.width, lens.height) / 2 / f
@@ -61,7 +61,7 @@ def lens_scale(lens: Camera) -> Array:
 
 
 def lens_block(lens: Camera, free: np.ndarray) -> Block:
-    """Return the intrinsics (n,) of a lens as unknowns; those with indices `free` may change."""
+    """Make unknowns of the intrinsics (n,) of a lens; those with indices `free` may change."""
     scale = lens_scale(lens)
     return Block(lens, scale, _moved_lens, np.isin(np.arange(len(scale)), free))
 
@@ -71,7 +71,7 @@ def _moved_lens(lens: Camera, step: Array) -> Camera:
 
 
 def head_block(head: HeadCalibration, free: np.ndarray) -> Block:
-    """Return the parameters (c,) of a head as unknowns; free is (c,) of bool."""
+    """Make unknowns of the parameters (c,) of a head; free is (c,) of bool."""
     scales: list[float] = []
     for mounted in head.cameras.values():
         scales += [*lens_scale(mounted.intrinsics), *POSE_SCALE]
@@ -83,7 +83,7 @@ def head_block(head: HeadCalibration, free: np.ndarray) -> Block:
 
 
 def boards_block(T: Array) -> Block:
-    """Return poses (P, 4, 4) of boards as unknowns."""
+    """Make unknowns of poses (P, 4, 4) of boards."""
     return Block(T, np.tile(POSE_SCALE, len(T)), _moved_poses, nuisance=True)
 
 
@@ -92,7 +92,7 @@ def _moved_poses(T: Array, step: Array) -> Array:
 
 
 def board_scale_block(free: bool) -> Block:
-    """Return the size of the board, relative to the stated one, as an unknown."""
+    """Make an unknown of the board's size, relative to the stated one."""
     return Block(1.0, np.array([BOARD_SCALE]), _moved_number, np.array([free]), nuisance=True)
 
 

@@ -150,7 +150,7 @@ def adjust(
 def _first_levels(
     residuals: Residuals, start: Variables, levels: Sequence[Level], outlier: float
 ) -> tuple[dict[str, float], np.ndarray, np.ndarray, Array]:
-    """Return first levels, which (Q,) stay, which of these are assumed, and redundancies (Q,)."""
+    """Choose the first levels; which (Q,) stay, which of these are assumed, redundancies (Q,)."""
     main, basis = levels[0], start.scaled_basis()
     noise = {level.name: level.start for level in levels}
     fixed = np.array([level.given for level in levels])
@@ -211,7 +211,7 @@ def _weighed(
 
 
 def _median_level(residuals: Residuals, x: Variables, name: str) -> float:
-    """Return a level by the median size of errors, which half of the data cannot spoil."""
+    """Estimate a level by the median size of errors, which half of the data cannot spoil."""
     sizes, together = [], 1
     for residual in residuals:
         errors = residual.error(x)

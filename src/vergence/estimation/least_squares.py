@@ -138,7 +138,7 @@ class _Model:
         return _Point(x, residuals, errors, levels, costs)
 
     def followed(self, point: _Point) -> _Point:
-        """Return the point with residuals that follow the estimate."""
+        """Update a point with residuals that follow the estimate."""
         residuals = [residual.follow(point.x) for residual in point.residuals]
         if all(new is old for new, old in zip(residuals, point.residuals, strict=True)):
             return point
@@ -154,7 +154,7 @@ class _Model:
     def step(
         self, now: _Point, shared: Array, latent: Array, active: np.ndarray
     ) -> tuple[_Point | None, np.ndarray]:
-        """Return the point after a step, and (1,) or (B,) where it did not raise the cost.
+        """Take the point after a step, and (1,) or (B,) where it did not raise the cost.
 
         Independent problems move only where it did not; None: nowhere.
         """
@@ -171,7 +171,7 @@ class _Model:
 
 
 def _coordinates(residual: Residual, errors: Array) -> int:
-    """Return how many coordinates were measured."""
+    """Count the coordinates that were measured."""
     if residual.seen is None:
         return errors.size
     return residual.together * int(np.count_nonzero(residual.seen))

@@ -42,11 +42,11 @@ class Linear:
     """Of each residual, see `residual.robust_weights`."""
 
     def precisions(self, levels: Levels) -> Array:
-        """Return (Q,) the inverse variances of the levels."""
+        """Compute the inverse variances (Q,) of the levels."""
         return np.array([levels.get(name, 1.0) ** -2 for name in self.names])
 
     def at(self, levels: Levels) -> Linear:
-        """Return the equations at given noise levels, as those of the unit level alone."""
+        """Sum the equations at given noise levels, as those of the unit level alone."""
         p = self.precisions(levels)
         sums = {
             name: np.tensordot(p, getattr(self, name), 1)[None]
@@ -55,7 +55,7 @@ class Linear:
         return replace(self, names=(UNIT,), count=self.count.sum(keepdims=True), **sums)
 
     def onto(self, basis: Array) -> Linear:
-        """Return the equations in the directions of a basis (G, F) of the shared unknowns."""
+        """Project the equations onto a basis (G, F) of the shared unknowns."""
         if not self.gg.shape[1]:
             return self
         rows = csr_array(basis.T)  # nuisance blocks have directions of their own: mostly zeros
@@ -121,7 +121,7 @@ class Reduced:
     """(G,), (B, n): the right side before the elimination."""
 
     def step(self) -> tuple[Array, Array]:
-        """Return the Gauss-Newton step: shared (G,) and latent (B, n)."""
+        """Compute the Gauss-Newton step: shared (G,) and latent (B, n)."""
         shared = np.zeros(0)
         if len(self.schur):
             shared = cho_solve(cholesky(self.schur), self.vector)
@@ -169,7 +169,7 @@ def cholesky(matrix: Array) -> tuple[Array, bool]:
 
 
 def posterior(information: Array, vector: Array, covariance: Array) -> tuple[Array, Array]:
-    """Return the step (G,) and covariance (G, G) after data with this information.
+    """Compute the step (G,) and covariance (G, G) after data with this information.
 
     Solves (I + C N) step = C b for a prior covariance C that may be singular, as where some
     unknowns are fixed.

@@ -104,7 +104,7 @@ def estimate_noise(
 
 
 def redundancy(linear: Linear, levels: Levels) -> Array:
-    """Return (Q,) how many residuals of each level such noise would leave over.
+    """Count the residuals (Q,) of each level that such noise would leave over.
 
     At a generous noise, a level with less than one cannot be estimated.
     """
@@ -115,7 +115,7 @@ def redundancy(linear: Linear, levels: Levels) -> Array:
 def determined_by_others(
     linear: Linear, specification: Sequence[Level], levels: Levels
 ) -> dict[str, float]:
-    """Return how well one element's other data determine what a level measures directly.
+    """Compute how well one element's other data determine what a level measures directly.
 
     By the name of the level: the median over elements, the best of the latent unknowns that it
     measures. Where only a sum of latent unknowns is determined: as if the others were known.
@@ -199,7 +199,7 @@ def _evaluate(linear: Linear, names: Sequence[str], s: Array) -> _Evaluation:
 
 
 def _squares_after(linear: Linear, shared: Array, latent: Array) -> Array:
-    """Return (Q,) the sums of squares after a step, in the linear model."""
+    """Compute the sums of squares (Q,) after a step, in the linear model."""
     slope = linear.g @ shared + np.einsum("bn,qbn->q", latent, linear.l)
     curved = (linear.gg @ shared) @ shared
     curved += 2 * np.einsum("qbgn,g,bn->q", linear.gl, shared, latent, optimize=True)
@@ -208,7 +208,7 @@ def _squares_after(linear: Linear, shared: Array, latent: Array) -> Array:
 
 
 def _hat_matrix(linear: Linear, reduced: Reduced, precisions: Array) -> tuple[Array, Array]:
-    """Return traces (Q,) and squared norms (Q, Q) of the blocks of the data's hat matrix.
+    """Compute traces (Q,) and squared norms (Q, Q) of the blocks of the data's hat matrix.
 
     With N_g the normal matrix of a level and C the covariance of all unknowns these are
     tr(C N_g) and tr(C N_g C N_h). C = D + U S^-1 U^T, D the inverse of the latent blocks alone, S

@@ -52,15 +52,15 @@ class Residual:
     robust: bool = True
 
     def error(self, x: Variables) -> Array:
-        """Return the errors (M, k): predicted minus measured, zero where not measured."""
+        """Compute the errors (M, k): predicted minus measured, zero where not measured."""
         raise NotImplementedError
 
     def rows(self, x: Variables) -> Rows:
-        """Return the derivatives of the errors, in new arrays, which the solver overwrites."""
+        """Compute the derivatives of the errors, in new arrays, which the solver overwrites."""
         raise NotImplementedError
 
     def costs(self, errors: Array, levels: Levels, outlier: float) -> Array:
-        """Return (M,) -2 log likelihood of errors (M, k): infinite where one is not finite."""
+        """Compute -2 log likelihood (M,) of errors (M, k): infinite where one is not finite."""
         sizes = relative_sizes(self, errors, levels)
         costs = cauchy_loss(sizes, outlier if self.robust else np.inf).sum(axis=1)
         return np.where(np.isfinite(costs), costs, np.inf)
@@ -83,7 +83,7 @@ Residuals = Sequence[Residual]
 
 
 def cauchy_loss(sizes: Array, outlier: float) -> Array:
-    """Return squares up to the outlier limit, and 1 + 2 log of the excess (Cauchy) beyond it."""
+    """Compute squares up to the outlier limit, and Cauchy's loss beyond it."""
     squares = np.minimum(sizes, outlier) ** 2
     if np.isfinite(outlier):
         squares += 2 * outlier**2 * np.log(np.maximum(sizes / outlier, 1.0))
@@ -97,13 +97,13 @@ def coordinate_levels(residual: Residual, k: int) -> tuple[str, ...]:
 
 
 def standard_deviations(residual: Residual, k: int, levels: Levels) -> Array:
-    """Return (M, k) or (1, k) the standard deviations of errors."""
+    """Compute the standard deviations (M, k) or (1, k) of errors."""
     level = np.array([levels.get(name, 1.0) for name in coordinate_levels(residual, k)])
     return level * np.atleast_1d(residual.noise_scale)[:, None]
 
 
 def relative_sizes(residual: Residual, errors: Array, levels: Levels) -> Array:
-    """Return (M, k / together) the sizes of errors (M, k) in standard deviations."""
+    """Compute the sizes (M, k / together) of errors (M, k) in standard deviations."""
     relative = errors / standard_deviations(residual, errors.shape[1], levels)
     if residual.together == 1:
         return np.abs(relative)
@@ -111,7 +111,7 @@ def relative_sizes(residual: Residual, errors: Array, levels: Levels) -> Array:
 
 
 def robust_weights(residual: Residual, errors: Array, levels: Levels, outlier: float) -> Array:
-    """Return (M, k / together) Cauchy's weights, 1 up to the limit and 0 where not measured."""
+    """Compute Cauchy's weights (M, k / together): 1 up to the limit, 0 where not measured."""
     sizes = relative_sizes(residual, errors, levels)
     weights = np.ones_like(sizes)
     if residual.robust and np.isfinite(outlier):
@@ -120,6 +120,6 @@ def robust_weights(residual: Residual, errors: Array, levels: Levels, outlier: f
 
 
 def inlier_weights(residual: Residual, errors: Array, levels: Levels, outlier: float) -> Array:
-    """Return (M, k / together): 1 for inliers, LOST_WEIGHT for outliers, 0 where not measured."""
+    """Compute weights (M, k / together): 1 for inliers, LOST_WEIGHT for outliers."""
     weights = robust_weights(residual, errors, levels, outlier)
     return np.where(weights == 1, 1.0, np.where(weights > 0, LOST_WEIGHT, 0.0))

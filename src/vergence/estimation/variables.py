@@ -77,7 +77,7 @@ class Variables:
         return sum(len(block.scale) for block in self.shared.values())
 
     def stacked(self, value: Callable[[Block], Any]) -> np.ndarray:
-        """Return (G,) a property of all blocks, which may be one value a block."""
+        """Collect a property (G,) of all blocks, which may be one value a block."""
         parts = [np.broadcast_to(value(b), b.scale.shape) for b in self.shared.values()]
         return np.concatenate(parts) if parts else np.zeros(0)
 
@@ -87,11 +87,11 @@ class Variables:
         return self.stacked(lambda b: True if b.free is None else b.free).astype(bool)
 
     def scaled_basis(self) -> Array:
-        """Return (G, F) one direction for each free unknown, as long as its scale."""
+        """Make a direction (G, F) for each free unknown, as long as its scale."""
         return np.diag(self.stacked(lambda b: b.scale))[:, self.free]
 
     def retract(self, shared: Array, latent: Array) -> Variables:
-        """Return the unknowns changed by (G,) and (B, n); ValueError if that is impossible."""
+        """Change the unknowns by (G,) and (B, n); ValueError if that is impossible."""
         moved = {
             name: replace(block, value=block.retract(block.value, shared[self.columns(name)]))
             for name, block in self.shared.items()

@@ -23,12 +23,12 @@ POSE_LEVEL_PX = 1e-2
 
 
 def seen_corners(corners: Array) -> np.ndarray:
-    """Return (..., K) of bool: which corners (..., K, 2) [px] were seen."""
+    """Find which corners (..., K, 2) [px] were seen: (..., K) of bool."""
     return np.asarray(np.isfinite(corners).all(axis=-1))
 
 
 def determines_pose(points: Array, seen: np.ndarray) -> np.ndarray:
-    """Return (...,) whether corners determine the board's pose: enough are seen, not on one line.
+    """Check whether corners determine the board's pose: enough are seen, not on one line.
 
     The board's corners are points (K, 3) in frame target, seen is (..., K) of bool.
     """
@@ -64,7 +64,7 @@ class BoardViews(Residual):
         vars(self).update(seen=seen_corners(self.corners), element=np.arange(len(self.corners)))
 
     def in_camera(self, x: Variables) -> tuple[Array, Array, Array]:
-        """Return corners (V, K, 3): turned and placed in the reference, and in the camera."""
+        """Place corners (V, K, 3): turned and shifted in the reference, and in the camera."""
         T = x.latent.value
         turned = self.points @ np.swapaxes(T[:, :3, :3], 1, 2)
         placed = turned + T[:, None, :3, 3]
@@ -75,17 +75,17 @@ class BoardViews(Residual):
         return turned, placed, in_camera
 
     def lens(self, x: Variables) -> Camera:
-        """Return the camera at the unknowns."""
+        """Take the camera at the unknowns."""
         return x["lens"] if self.camera is None else self.camera
 
     def error(self, x: Variables) -> Array:
-        """Return (V, 2 K) projected minus seen [px]; NaN for corners behind the camera."""
+        """Compute projected minus seen pixels (V, 2 K); NaN for corners behind the camera."""
         with np.errstate(over="ignore", invalid="ignore"):
             off = project(self.lens(x), self.in_camera(x)[2]) - self.corners
         return np.where(self.seen[..., None], off, 0.0).reshape(len(off), -1)
 
     def rows(self, x: Variables) -> Rows:
-        """Return the derivatives by the lens or the camera's place, and by the boards' poses."""
+        """Compute the derivatives by the lens or the camera's place, and by the boards' poses."""
         (turned, placed, in_camera), V = self.in_camera(x), len(self.corners)
         with np.errstate(over="ignore", invalid="ignore"):
             _, by_point, by_lens = project_jacobians(self.lens(x), in_camera)
@@ -108,7 +108,7 @@ _RELATIVE = "T_cam_reference"
 
 
 def board_poses(camera: Camera, corners: Array, points: Array) -> Array:
-    """Return T_cam_target (V, 4, 4) of each view, by least squares; NaN where it is not determined.
+    """Fit T_cam_target (V, 4, 4) to each view; NaN where it is not determined.
 
     Corners are pixels (V, K, 2), NaN where not seen, of points (K, 3) in frame target [m].
     """
@@ -128,7 +128,7 @@ def board_poses(camera: Camera, corners: Array, points: Array) -> Array:
 
 
 def _poses_by_directions(camera: Camera, corners: Array, points: Array) -> Array:
-    """Return what board_poses does, for fisheye lenses and skew, which solvePnP does not know.
+    """Do what board_poses does for fisheye lenses and skew, which solvePnP does not know.
 
     The poses by directions are the start; by pixels, all views at once, they are refined.
     """
@@ -139,12 +139,12 @@ def _poses_by_directions(camera: Camera, corners: Array, points: Array) -> Array
 
 
 def board_latent(T_cam_target: Array) -> Latent:
-    """Return poses (V, 4, 4) of boards as latent unknowns."""
+    """Make latent unknowns of poses (V, 4, 4) of boards."""
     return Latent(T_cam_target, 6, boxplus)
 
 
 def seen_from_the_other_side(T_cam_target: Array, points: Array) -> Array:
-    """Return the poses (V, 4, 4) with which small boards look almost the same.
+    """Find the poses (V, 4, 4) with which small boards look almost the same.
 
     The board is slanted the other way about its middle: seen along the line of sight, its normal is
     the mirror image.
