@@ -41,7 +41,7 @@ def vector(*parts: Array | float) -> Array:
     """Stack components (...) to vectors (..., n); they broadcast."""
     if type(parts[0]) is not np.ndarray and type(parts[-1]) is not np.ndarray:
         return np.array(parts)
-    stacked = np.empty((len(parts), *np.broadcast_shapes(*map(np.shape, parts))))
+    stacked = np.empty((len(parts), *np.broadcast(*parts).shape))
     for k, part in enumerate(parts):
         stacked[k] = part
     return batch_first(stacked)

@@ -259,6 +259,7 @@ def normalise_jacobian(camera: Camera, pixels: Array) -> tuple[Array, Array]:
     return vector(x, y), batch_first(by_pixels, 2)
 
 
+@ignoring_invalid
 def pixel_area(camera: Camera, xy: Array) -> Array:
     """Compute the area (...,) in the plane z = 1 of one pixel at undistorted xy (..., 2)."""
     *_, xx, cross, yy = lens.distort(camera.model, camera.coefficients, xy[..., 0], xy[..., 1])

@@ -36,7 +36,6 @@ _LARGEST_TANGENT = 100.0
 """Tangent of the angle from the axis up to which a rational lens is inverted: 89.4 degrees."""
 
 
-@ignoring_invalid
 def distort(model: CameraModel, k: Coefficients, x: Array, y: Array) -> tuple[Array, ...]:
     """Compute distorted x', y', and dx'/dx, dx'/dy (which is dy'/dx), dy'/dy, each shaped as x.
 
@@ -138,6 +137,7 @@ def reach(model: CameraModel, k: Coefficients) -> float:
 
 
 @lru_cache(maxsize=1024)
+@ignoring_invalid
 def _table(model: CameraModel, k: Coefficients) -> tuple[Array, Array]:
     """Tabulate radii in the image, rising, and the tangents (rational) or angles there."""
     end = reach(model, k)
