@@ -61,7 +61,7 @@ def main() -> None:
 
 
 def parsed(arguments: list[str]) -> Callable[[], Report]:
-    """Return a command with its arguments. Raises VergenceError for wrong ones; --help exits."""
+    """Bind a command to its arguments. Raises VergenceError for wrong ones; --help exits."""
     if not arguments or arguments[0].startswith("-"):
         return _one_sentence(
             tyro.extras.subcommand_cli_from_dict,

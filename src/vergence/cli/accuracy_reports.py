@@ -95,7 +95,7 @@ def budget_report(found: MotionBudgets) -> Report:
 
 
 def budget_rows(found: MotionBudgets, k: int) -> list[tuple[str, ...]]:
-    """Return the rows of point k under BUDGET_HEADING; the last one is the total."""
+    """List the parts of point k under BUDGET_HEADING, the total last."""
 
     def mm(value: float) -> str:
         return f"{1e3 * value:z.2f}"
@@ -118,7 +118,7 @@ def budget_rows(found: MotionBudgets, k: int) -> list[tuple[str, ...]]:
 
 
 def advice(one: Budget) -> str:
-    """Return a sentence on the sources whose reduction would help most."""
+    """Name the sources whose reduction would help most."""
     total = 1e3 * float(np.linalg.norm(one.total.std_m))
     best = sorted(one.halved_m.items(), key=lambda item: item[1])[:2]
     halves = [f"half of {name!r} would give {1e3 * value:.2f} mm" for name, value in best]

@@ -39,8 +39,8 @@ def calibrate(
 
     Args:
         dataset: Folder with dataset.json, frames.csv and images.
-        out: JSON file of the calibration. A VOID one does not replace a file that is there: it goes
-            beside it, into NAME.void.json.
+        out: JSON file of the calibration. A VOID one does not replace an earlier file: it is
+            written into NAME.void.json.
         report: Folder for report.md, its pictures and a recording of the dataset.
         method: Bundle adjustment, which starts from the paper's steps, or these steps alone.
         lens: Lens model of all cameras; auto: selected for each by how well it fits and predicts
@@ -89,7 +89,7 @@ def self_calibrate(
 
     Args:
         dataset: Folder with dataset.json, frames.csv and images. Rows with moving eyes are used or,
-            where there are none, all rows that both main cameras see.
+            without such rows, all rows that both main cameras see.
         calibration: JSON file that `vergence calibrate` wrote, of the same head.
         out: JSON file of the learned calibration.
         json: JSON file of what was observed of each parameter.

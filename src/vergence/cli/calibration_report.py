@@ -102,7 +102,7 @@ def write_calibration_report(
 
 
 def _worst_views(result: CalibrationResult) -> list[tuple[float, str, int]]:
-    """Return residual (root mean square, px), camera and row of all views, the worst first."""
+    """Sort views by their residual (root mean square, px), the worst first, with camera and row."""
     residuals = {} if result.estimate is None else result.estimate.residuals_px
     found = [
         (float(size), name, row)
@@ -189,7 +189,7 @@ def _lenses(result: CalibrationResult) -> list[Part]:
 
 
 def _parameters(result: CalibrationResult) -> list[Part]:
-    """Return tables of the parameters and of the poses."""
+    """Tabulate the estimated parameters and the poses."""
     head, stds = result.head, _stds(result)
     parameters = [
         (name, "" if value is None else f"{value:.6g}", f"{stds[name]:.2g}")

@@ -71,7 +71,7 @@ def self_calibration_report(found: SelfCalibrationResult) -> Report:
 
 
 def _unit(name: str) -> tuple[str, float]:
-    """Return the printed unit of a parameter, and the factor to it from the parameter's own."""
+    """Choose the printed unit of a parameter, and the factor to it."""
     for unit, (factor, ends) in UNITS.items():
         if name.endswith(ends):
             return unit, factor

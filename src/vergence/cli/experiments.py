@@ -106,7 +106,7 @@ def record(
     moving: int = 0,
     kinematics: OptionalPath = None,
 ) -> Report:
-    """Record a dataset on the twin, with the ground truth beside it in truth.json.
+    """Record a dataset on the twin, with its ground truth in truth.json.
 
     Args:
         out: Folder, new or empty.

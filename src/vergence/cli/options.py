@@ -37,7 +37,7 @@ _KINDS = {int: ("INT", "a whole number"), float: ("FLOAT", "a number without a u
 
 @NUMBERS.primitive_rule
 def _numbers(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
-    """Parse a number or a tuple of numbers, either of which may be optional."""
+    """Parse a number or a tuple of numbers, optional or not."""
     kind: Any = info.type
     if NoneType in get_args(kind):
         (kind,) = (each for each in get_args(kind) if each is not NoneType)

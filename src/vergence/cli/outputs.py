@@ -39,7 +39,7 @@ def check_outputs(
         folder: folder of results.
         names: files that are written into the folder.
         title: beginning of the folder's report.md; a report with another one is not replaced.
-        inputs: files and folders of datasets that the same command reads; None: there is none.
+        inputs: files and folders of datasets that the same command reads; None: not given.
 
     Raises:
         VergenceError: a path cannot be written, two are the same, one is an input or the folder,

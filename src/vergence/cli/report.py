@@ -47,16 +47,16 @@ class Report:
     """Sentences about written files, which only the terminal shows."""
 
     def summary(self) -> str:
-        """Return the text for the terminal."""
+        """Format the text for the terminal."""
         parts = [f"\n{part}\n" if isinstance(part, Table) else part for part in self.parts]
         return "\n".join(filter(None, [*parts, self.files])).strip("\n")
 
     def markdown(self) -> str:
-        """Return the text of a report.md."""
+        """Format the text of a report.md."""
         return "\n\n".join([f"# {self.title}", *map(str, (*self.parts, *self.details))]) + "\n"
 
     def json(self) -> str:
-        """Return the values as JSON."""
+        """Format the values as JSON."""
         return as_json(self.data)
 
     def write_json(self, path: Path | None) -> None:

@@ -64,7 +64,7 @@ def _discard_output() -> None:
 
 
 def invocation(program: str, *arguments: str | Path) -> str:
-    """Return a command line that runs a program of this Python environment in the current folder.
+    """Quote a command line that runs a program of this Python environment in the current folder.
 
     The program is named with its folder unless the shell finds the same one without it.
     """

@@ -96,7 +96,7 @@ def record_dataset(
 
 
 def _outline(board: Board) -> rr.LineStrips3D:
-    """Return the lines through the board's inner corners, in frame target."""
+    """Draw the outline of the board's inner corners, in frame target."""
     corners = corner_points(board).reshape(board.rows, board.columns, 3)
     strips = [*corners[:, [0, -1]], *corners[[0, -1]].swapaxes(0, 1)]
     return rr.LineStrips3D(strips, colors=style.OBJECT, radii=-1.0)
@@ -146,7 +146,7 @@ def _log_styles(rec: rr.RecordingStream, head: HeadCalibration, dataset: Dataset
 
 
 def rms_by_view(errors: Array) -> Array:
-    """Return the root mean square (V,) [px] of residuals (V, K, 2); NaN: the view has none."""
+    """Compute the root mean square (V,) [px] of residuals (V, K, 2); NaN: no corner is seen."""
     squares = (errors**2).sum(axis=2)
     seen = np.isfinite(squares)
     total = np.where(seen, squares, 0.0).sum(axis=1)

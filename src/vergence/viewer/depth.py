@@ -1,7 +1,7 @@
 """Record dense depth: rectified pairs, disparity, depth and its deviation, and the points.
 
     /rectified/<side>/image   the rectified images
-    /rectified/disparity      disparities [px / 16], 0 where there is none
+    /rectified/disparity      disparities [px / 16]; 0: not matched
     /rectified/depth          depth [mm]
     /rectified/std            its standard deviation [mm]
     /world/points             the points, coloured

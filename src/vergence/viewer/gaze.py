@@ -141,7 +141,7 @@ def _log_axes(
 
 
 def _narrow_cameras(settings: GazeSettings, readings: Array) -> dict[Side, Array]:
-    """Return by eye the pose (4, 4) of the narrow camera in frame body, at readings (j,)."""
+    """Compute the pose (4, 4) of each narrow camera in frame body, at readings (j,)."""
     head = settings.calibration
     return {
         eye: T_body_base(head, eye, readings)
@@ -151,7 +151,7 @@ def _narrow_cameras(settings: GazeSettings, readings: Array) -> dict[Side, Array
 
 
 def aims(settings: GazeSettings, state: GazeState, frame: Frame) -> dict[str, Array]:
-    """Return by camera the target pixel (2,) of the object.
+    """Compute the target pixel (2,) of the object in each camera.
 
     In the narrow image it is the principal point; in the wide image of another camera the pixel of
     Eqs. 18-19 for the estimated depth, or its limit at infinity while there is no estimate.

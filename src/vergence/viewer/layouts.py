@@ -17,7 +17,7 @@ from vergence.viewer import style
 
 
 def camera_entities(head: HeadCalibration) -> dict[str, str]:
-    """Return the entity of each camera in a recording."""
+    """Name the entity of each camera in a recording."""
     return {name: f"world/{mounted.eye}_eye/{name}" for name, mounted in head.cameras.items()}
 
 
@@ -56,7 +56,7 @@ def view_3d(
         name: title of the view.
         middle: (3,) the point that the view looks at.
         eye: (3,) the point that it looks from.
-        origin: entity in whose frame it is drawn, with all that is below it.
+        origin: entity in whose frame it and the entities below it are drawn.
         contents: further expressions for entities to draw or to hide.
         trails: by entity, seconds before the cursor for which it stays visible; None: for ever.
     """
@@ -80,7 +80,7 @@ def view_3d(
 
 
 def hidden(head: HeadCalibration, *marks: str) -> tuple[str, ...]:
-    """Return the expressions that leave marks in the images out of a 3-D view."""
+    """Leave marks in the images out of a 3-D view."""
     entities = camera_entities(head).values()
     return tuple(f"- {entity}/{mark}" for entity in entities for mark in marks)
 

@@ -117,7 +117,7 @@ def set_time(rec: rr.RecordingStream, time_s: float, index: int) -> None:
 
 
 def time_columns(time_s: Array, index: np.ndarray) -> list[rr.TimeColumn]:
-    """Return the timelines sim_time and frame for times (N,) [s] and sample numbers (N,)."""
+    """Make the timelines sim_time and frame of times (N,) [s] and sample numbers (N,)."""
     # A float array would be truncated to nanoseconds, while set_time rounds.
     nanoseconds = np.round(time_s * 1e9).astype("timedelta64[ns]")
     return [rr.TimeColumn("sim_time", duration=nanoseconds), rr.TimeColumn("frame", sequence=index)]
@@ -177,7 +177,7 @@ def log_image(rec: rr.RecordingStream, entity: str, image: np.ndarray) -> None:
 
 
 def _within(pixel: Array | None, image: np.ndarray) -> Array:
-    """Return a pixel in rerun's coordinates (1, 2), or (0, 2) if it is not in the image."""
+    """Convert a pixel to rerun's coordinates (1, 2), or (0, 2) if it is not in the image."""
     size = image.shape[1], image.shape[0]
     if pixel is None or not (np.abs(2 * pixel + 1 - size) <= size).all():
         return np.empty((0, 2))

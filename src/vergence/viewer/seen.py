@@ -18,7 +18,7 @@ from vergence.viewer.layouts import camera_entities
 
 
 def learned_entities(known: FilterState) -> dict[str, str]:
-    """Return the entities of the parameters that are plotted: gains and focal lengths."""
+    """Name the entities of the parameters that are plotted: gains and focal lengths."""
     found = {}
     for name in known.names:
         owner, _, parameter = name.partition(".")

@@ -20,12 +20,12 @@ if TYPE_CHECKING:  # the twin, and with it mujoco, is not needed to record a rea
 
 
 def quaternions(R: Array) -> Array:
-    """Return the quaternions xyzw (..., 4) of rotations (..., 3, 3)."""
+    """Convert rotations (..., 3, 3) to quaternions xyzw (..., 4)."""
     return Rotation.from_matrix(R).as_quat()
 
 
 def placed(T: Array) -> rr.Transform3D:
-    """Return the transform of an entity whose pose in its parent is T (4, 4)."""
+    """Place an entity at pose T (4, 4) in its parent."""
     return rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3])
 
 
@@ -116,7 +116,7 @@ def log_cameras(rec: rr.RecordingStream, head: HeadCalibration) -> None:
 
 
 def spread_ellipsoid(points: Array) -> rr.Ellipsoids3D:
-    """Return the ellipsoid of two standard deviations around the mean of points (N, 3)."""
+    """Draw the ellipsoid of two standard deviations around the mean of points (N, 3)."""
     variances, axes = np.linalg.eigh(np.cov(points.T))
     axes[:, 0] *= np.linalg.det(axes)  # a rotation, not a reflection
     return rr.Ellipsoids3D(
@@ -129,7 +129,7 @@ def spread_ellipsoid(points: Array) -> rr.Ellipsoids3D:
 
 
 def lines_of_sight(head: HeadCalibration, points: Array, eye_angles: Array) -> Array:
-    """Return polylines (N, 3, 3) from the left main camera to a point to the right main camera.
+    """Draw polylines (N, 3, 3) from the left main camera to a point to the right main camera.
 
     Points (N, 3) [m] are in the left eye's base frame, as the result; `eye_angles` (N, r) [rad].
     """

@@ -60,11 +60,11 @@ BEHIND_SHOULDER = np.array([-0.45, 0.75, 0.50])
 
 
 def html(rgb: tuple[int, int, int]) -> str:
-    """Return a colour as matplotlib takes it, for example #1f5aff."""
+    """Format a colour for matplotlib, such as #1f5aff."""
     return "#{:02x}{:02x}{:02x}".format(*rgb)
 
 
 def pale(rgb: tuple[int, int, int]) -> tuple[int, int, int]:
-    """Return a colour mixed with white."""
+    """Mix a colour with white."""
     r, g, b = (round(0.45 * level + 0.55 * 255) for level in rgb)
     return r, g, b

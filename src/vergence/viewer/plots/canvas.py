@@ -25,7 +25,7 @@ def save(canvas: Canvas, path: Path) -> None:
 
 
 def panels(count: int, title: str, *, columns: int = 2) -> tuple[Canvas, list[Axes]]:
-    """Return a canvas with a title, and the axes of `count` panels in rows of `columns`."""
+    """Make a canvas with a title, and the axes of `count` panels in rows of `columns`."""
     rows = -(-count // columns)
     canvas = Canvas(figsize=(5.2 * columns, 4.0 * rows + 0.4), dpi=DPI, layout="constrained")
     FigureCanvasAgg(canvas)

@@ -59,7 +59,7 @@ def draw_foveation(calibration: HeadCalibration) -> Canvas:
 
 
 def miss_px(calibration: HeadCalibration, depths: Array, wrong: Array, *, eye: Side) -> Array:
-    """Return the distances (N,) [px] of objects from the centre of the narrow image.
+    """Compute the distances (N,) [px] of objects from the centre of the narrow image.
 
     The objects are at depths (N,) [m] on the narrow camera's axis; `wrong` (N,) [m] is the error of
     these depths, positive where they are taken for too large.
@@ -70,7 +70,7 @@ def miss_px(calibration: HeadCalibration, depths: Array, wrong: Array, *, eye: S
 
 
 def by_disparity(calibration: HeadCalibration, depths: Array, error_px: float) -> Array:
-    """Return the depth errors (N,) [m] that an error of disparity [px] causes at depths (N,) [m].
+    """Compute the depth errors (N,) [m] by an error of disparity [px] at depths (N,) [m].
 
     Exact; Eq. 20 is its linear part, which is too small for large errors.
     """
