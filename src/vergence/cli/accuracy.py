@@ -114,10 +114,10 @@ def design(
     options = dict(locals())
     from vergence.accuracy.design_chunks import sweep
     from vergence.accuracy.design_settings import AXES, merged_settings
-    from vergence.cli.design_report import RESULTS, TITLE, write_design
+    from vergence.cli.accuracy_reports import DESIGN_RESULTS, DESIGN_TITLE, write_design
     from vergence.parallel import process_count
 
-    check_outputs(folder=out, names=RESULTS, title=f"# {TITLE}", inputs=[settings])
+    check_outputs(folder=out, names=DESIGN_RESULTS, title=f"# {DESIGN_TITLE}", inputs=[settings])
     process_count(jobs)
     axes = {name: options[name] for name in AXES if options[name] is not None}
     chosen = merged_settings(settings, axes, at_m=at_m)
