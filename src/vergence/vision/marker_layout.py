@@ -18,8 +18,6 @@ from scipy.spatial import KDTree
 
 from vergence.geometry.board import Charuco, marker_family
 
-_AS_NEAR = 1.5
-"""Largest distance of a neighbour over that of the nearest one; the next is twice as far."""
 _CLEAR_SHARE = 0.8
 """Least share of pairs that agree with a right description: a misread marker in the middle of a
 small board spoils a tenth; with one square too many in a row half of them agree."""
@@ -27,12 +25,12 @@ small board spoils a tenth; with one square too many in a row half of them agree
 
 @dataclass(frozen=True, eq=False)
 class MarkerPairs:
-    """Pairs of neighbouring markers: their squares touch at a corner, or they are the nearest."""
+    """Pairs of neighbouring markers, whose squares touch at a corner."""
 
     ids: np.ndarray
     """(P, 2) of int: numbers of the first and the second marker."""
     steps: np.ndarray
-    """(P, 2) squares along x and y from the first to the second, about 1 or -1 if they touch."""
+    """(P, 2) squares along x and y from the first to the second, each about 1 or -1."""
 
 
 def read_markers(
@@ -66,18 +64,12 @@ def marker_pairs(quads: Sequence[np.ndarray], ids: np.ndarray, board: Charuco) -
     offsets = np.einsum(
         "pij,pj->pi", np.linalg.pinv(sides)[first], centres[second] - centres[first]
     )
-    by_marker = np.abs(offsets).max(axis=1).reshape(len(near), -1)
-    nearest = by_marker.min(axis=1)
-    # The nearest marker is a square away, unless many were not read and it is two: more than 2.1
-    # sides of a marker.
-    square = float(np.median(nearest))
-    square = square if square < 2.1 else board.square_m / board.marker_m
-    steps, length = offsets / square, by_marker.ravel() / square
-    neighbours = length < _AS_NEAR * nearest[first] / square
-    # A marker at a neighbour's distance but not in its place is not on the board; perspective moves
-    # it by 0.2 squares.
-    deviation = np.abs(steps - np.sign(steps)).max(axis=1)
-    neighbours &= (deviation < 0.35) | (length > _AS_NEAR)
+    length = np.abs(offsets).max(axis=1)
+    # The nearest marker is a square away.
+    square = float(np.median(length.reshape(len(near), -1).min(axis=1)))
+    steps = offsets / square
+    # Perspective moves a neighbour by 0.2 squares from its place.
+    neighbours = np.abs(steps - np.sign(steps)).max(axis=1) < 0.35
     return MarkerPairs(np.stack([ids[first], ids[second]], axis=1)[neighbours], steps[neighbours])
 
 
@@ -149,5 +141,4 @@ def _agreement(pairs: MarkerPairs, squares: np.ndarray) -> tuple[int, int]:
     first, second = pairs.ids[known].T
     steps = pairs.steps[known]
     deviation = np.abs(squares[second] - squares[first] - steps).max(axis=1)
-    agree = deviation < np.maximum(1, 0.35 * np.abs(steps).max(axis=1))
-    return int(agree.sum()), int(known.sum())
+    return int((deviation < 1).sum()), int(known.sum())
