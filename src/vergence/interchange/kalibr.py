@@ -32,7 +32,7 @@ from vergence.stereo.extrinsics import rebase
 
 
 class _Cam(BaseModel):
-    """A camera of a camchain; text such as 1e-5, which YAML 1.1 is no number, becomes one."""
+    """A camera of a camchain. Text is converted to numbers, since YAML 1.1 reads 1e-5 as text."""
 
     camera_model: Literal["pinhole"]
     distortion_model: Literal["radtan", "equidistant", "none"] = "none"
@@ -61,12 +61,11 @@ class _Cam(BaseModel):
 
 _CAMS = TypeAdapter(dict[str, _Cam])
 Camchain = dict[str, tuple[Camera, Array | None]]
-"""Cameras by name in the order of the chain, each with the pose (4, 4) of the previous camera in it
-(T_cn_cnm1), None where none is given."""
+"""Cameras by name in the order of the chain, with T_cn_cnm1 (4, 4) from the previous camera."""
 
 
 def save(head: HeadCalibration, path: Path) -> None:
-    """Write a head's cameras as cam0, cam1, ... of a camchain; rostopic gives their names.
+    """Write a head's cameras as cam0, cam1, ... of a camchain, with their names as rostopic.
 
     VergenceError if a camera has skew, k3 or a rational lens, or the file cannot be written.
     """
@@ -93,10 +92,7 @@ def save(head: HeadCalibration, path: Path) -> None:
 
 
 def load(path: Path) -> Camchain:
-    """Read a camchain. Cameras are named after the first part of their rostopic, else cam0, ...
-
-    VergenceError if the file is missing, not a camchain, or has another camera model.
-    """
+    """Read a camchain. The first part of a rostopic names its camera, else cam0, ..."""
     return read(path, "a Kalibr camchain", _camchain)
 
 

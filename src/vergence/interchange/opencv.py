@@ -152,10 +152,9 @@ class _Head(BaseModel):
 
 
 def load(path: Path) -> HeadCalibration:
-    """Read a head that `save` wrote, or a file of another program with the same fields.
+    """Read a head that `save` or another program wrote.
 
-    It does not use cv2.FileStorage, whose parser can end the process on a damaged file.
-    VergenceError if the file is missing, cannot be read, or a field is not valid.
+    cv2.FileStorage is not used: its parser can end the process on a damaged file.
     """
     parsers = {".xml": _parse_xml, ".json": parse_json}
     what = "a head in a file of OpenCV's FileStorage"

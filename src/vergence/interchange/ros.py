@@ -35,17 +35,16 @@ _MODELS: dict[str, CameraModel] = {name: model for model, name in _NAMES.items()
 
 
 class _CameraInfo(Intrinsics):
-    """Rectification and projection are not read: they follow from the rest."""
+    """Fields that are read; rectification and projection follow from them."""
 
     camera_name: Annotated[str, Field(min_length=1)]
     distortion_model: Literal["plumb_bob", "rational_polynomial", "equidistant"]
 
 
 def save(head: HeadCalibration, folder: Path) -> None:
-    """Write <camera>.yaml for every camera into a folder.
+    """Write <camera>.yaml for every camera into a folder, without rectification.
 
-    No camera is rectified: the rectification is the identity, and the projection the camera's own
-    matrix. VergenceError if a camera has skew, or the folder cannot be written.
+    VergenceError if a camera has skew, or the folder cannot be written.
     """
     check_cameras(head, "ROS's camera_info")
     with results_folder(folder):
