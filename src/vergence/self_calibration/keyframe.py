@@ -94,12 +94,8 @@ def next_keyframe(
 ) -> Keyframe:
     """Update the keyframe after a frame, or replace it if the eyes have turned far enough.
 
-    Args:
-        state: before the frame.
-        estimate: the frame.
-        head: after the frame.
-        change: (K,) update of the head, the frame's readings and the keyframe's joints, if any.
-        C: (K, K) its covariance.
+    The head is that after the frame; change (K,) and covariance C (K, K) are those of the
+    `augmented_covariance`.
     """
     P, r = len(state.names), len(estimate.readings)
     head_rows, now, then = slice(P), slice(P, P + r), slice(P + r, None)

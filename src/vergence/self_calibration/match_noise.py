@@ -83,16 +83,8 @@ def design_effect(
     """Estimate the variance inflation by errors that neighbours share.
 
     The sandwich formula of an M-estimate with clusters, relative to independent errors of unit
-    variance.
-
-    Args:
-        y: (N,) residuals [standard deviations].
-        pixels: (N, 2) their positions in an image.
-        size: width and height of the image [px].
-        expected: prior design effect.
-
-    Returns:
-        The variance inflation, and the share of the image's blocks with inliers.
+    variance, for residuals y (N,) [standard deviations] at pixels (N, 2) of an image. Returns also
+    the share of the image's blocks with inliers.
     """
     block_px = max(_BLOCK_PX, max(size) / _BLOCKS)
     column, row = np.clip(pixels // block_px, 0, _BLOCKS - 1).astype(int).T

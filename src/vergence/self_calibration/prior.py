@@ -53,78 +53,49 @@ temperature or a screw; anything by a repair, which voids the stated covariance.
 class Tolerance:
     """Standard deviation of each kind of parameter; 0 is exact."""
 
-    focal: float = 0.0
+    focal: float
     """Relative; common to fx and fy of a camera."""
-    aspect: float = 0.0
+    aspect: float
     """Relative; of fx and fy independently."""
-    centre_px: float = 0.0
-    lens_px: float = 0.0
+    centre_px: float
+    lens_px: float
     """Displacement by the distortion coefficients, root mean square over the image."""
-    turn_rad: float = 0.0
+    turn_rad: float
     """Rotation of a mounting about each axis."""
-    shift_m: float = 0.0
-    stereo_turn_rad: float = 0.0
+    shift_m: float
+    stereo_turn_rad: float
     """Relative rotation of the cameras at straight gaze, or of the bases."""
-    stereo_shift_m: float = 0.0
-    gain: float = 0.0
+    stereo_shift_m: float
+    gain: float
     """Relative; of a joint with several readings, of the gear factor of each."""
-    offset_rad: float = 0.0
+    offset_rad: float
     """Of a joint between the first and the last of an eye."""
-    axis_turn_rad: float = 0.0
+    axis_turn_rad: float
     """Direction of a joint's axis relative to the one before."""
-    axis_shift_m: float = 0.0
+    axis_shift_m: float
 
 
-USUAL = Tolerance(
-    focal=0.02,
-    aspect=1e-4,
-    centre_px=0.2,
-    lens_px=0.1,
-    turn_rad=np.radians(0.5),
-    shift_m=3e-3,
-    stereo_turn_rad=np.radians(0.3),
-    stereo_shift_m=2e-4,
-    gain=0.03,
-    offset_rad=np.radians(0.5),
-    axis_turn_rad=np.radians(0.1),
-    axis_shift_m=3e-4,
+_TOLERANCES = (
+    # usual, moved, drift, bump, uncalibrated
+    (0.02, 0.002, 1e-4, 0.0, 0.02),  # focal
+    (1e-4, 1e-4, 0.0, 0.0, 0.0),  # aspect
+    (0.2, 0.3, 0.01, 0.0, 5.0),  # centre_px
+    (0.1, 0.0, 0.0, 0.0, 0.0),  # lens_px
+    np.radians([0.5, 0.1, 0.03, 1.5, 1.5]),  # turn_rad
+    (3e-3, 1e-4, 1e-5, 1e-3, 3e-3),  # shift_m
+    np.radians([0.3, 0.03, 0.003, 0.0, 1.0]),  # stereo_turn_rad
+    (2e-4, 5e-5, 5e-6, 0.0, 1e-3),  # stereo_shift_m
+    (0.03, 0.002, 1e-4, 0.0, 0.05),  # gain
+    np.radians([0.5, 0.0, 0.0, 0.0, 0.5]),  # offset_rad
+    np.radians([0.1, 0.0, 0.0, 0.0, 0.1]),  # axis_turn_rad
+    (3e-4, 0.0, 0.0, 0.0, 3e-4),  # axis_shift_m
 )
-"""Errors of a calibration without a covariance; the table in docs/self_calibration.md gives the
-measurement behind each."""
-MOVED = Tolerance(
-    focal=0.002,
-    aspect=1e-4,
-    centre_px=0.3,
-    turn_rad=np.radians(0.1),
-    shift_m=1e-4,
-    stereo_turn_rad=np.radians(0.03),
-    stereo_shift_m=5e-5,
-    gain=0.002,
+"""Usual errors of a calibration without a covariance, measured as docs/method.md tells. The others
+are assumptions: motion since the calibration by transport, temperature and screws; random walk in a
+minute of running; motion of a camera that was hit; a head known from its drawing only."""
+USUAL, MOVED, DRIFT, BUMP, UNCALIBRATED = (
+    Tolerance(*map(float, c)) for c in zip(*_TOLERANCES, strict=True)
 )
-"""Changes since the calibration by transport, temperature and screws; assumptions."""
-DRIFT = Tolerance(
-    focal=1e-4,
-    centre_px=0.01,
-    turn_rad=np.radians(0.03),
-    shift_m=1e-5,
-    stereo_turn_rad=np.radians(0.003),
-    stereo_shift_m=5e-6,
-    gain=1e-4,
-)
-"""Random walk in one minute of running; assumptions."""
-BUMP = Tolerance(turn_rad=np.radians(1.5), shift_m=1e-3)
-"""Motion of a camera that was hit; an assumption."""
-UNCALIBRATED = replace(
-    USUAL,
-    aspect=0.0,
-    lens_px=0.0,
-    centre_px=5.0,
-    turn_rad=np.radians(1.5),
-    stereo_turn_rad=np.radians(1.0),
-    stereo_shift_m=1e-3,
-    gain=0.05,
-)
-"""Errors of a head known from its drawing only; assumptions."""
 
 _JUST_CALIBRATED = 1e-6
 """Share of the variance of MOVED right after a calibration, so that the covariance can be inverted
@@ -238,13 +209,9 @@ def prior_covariance(
     *,
     moved: bool = True,
 ) -> Array:
-    """Compute the covariance (P, P) before the first frame.
+    """Compute the covariance (P, P) of parameters before the first frame.
 
-    Args:
-        head: the calibration.
-        names: the P parameters.
-        cameras: the pair that is used.
-        moved: whether the head may have changed a little since the calibration.
+    It allows for small changes since the calibration, if the head may have moved.
     """
     C = tolerance_covariance(head, names, MOVED) * (1.0 if moved else _JUST_CALIBRATED)
     if not states_covariance(head):

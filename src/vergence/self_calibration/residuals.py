@@ -1,18 +1,15 @@
-"""Residuals of matched pixels, and their derivatives by lenses and by how two cameras stand.
+"""Residuals of matched and of tracked pixels, with their derivatives.
 
-Between the eyes: a match is four numbers (left u, v, right u, v) that depend on a point (3) and on
-the geometry. The one combination of them that no displacement of the point changes is the residual:
-to first order the distance in the space of the four pixel coordinates to the nearest match that
-fits (Sampson's distance). It is taken at the point that the match shows, not at the pixels as
-measured: then its derivatives do not share the noise of the residual, which would pull at the
-focal lengths.
+A match between the eyes is four numbers (left u, v, right u, v) that depend on a point (3) and on
+the geometry. Its residual is the combination that no displacement of the point changes: the Sampson
+distance in the space of the four coordinates. Derivatives are taken at the matched point: at the
+measured pixels they would share the noise of the residual and bias the focal lengths.
 
-Over time, in one eye: a camera that turns with its eye is displaced by millimetres, so that a point
-of about known depth tells both coordinates of its later pixel. They show how far the eye has
-turned, and with it focal length, mounting and gains, in any motion.
+A camera that turns with its eye moves by millimetres only, so that a point of roughly known depth
+predicts both coordinates of its later pixel.
 
-Either depends on the geometry through a few coordinates only, those of one or two lenses and the
-increments of one pose; how these change with the head and its joints is the same for all matches.
+Either depends on the geometry through k coordinates: the intrinsics of one or two lenses, and the
+increments of one pose. Their derivatives by the K unknowns are the same for all matches.
 """
 
 from __future__ import annotations
@@ -47,48 +44,43 @@ _NEAREST_M = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Coordinates:
-    """What the pixels of a scene depend on at one moment or two: lenses, and one pose."""
+    """Lenses and one relative pose, on which the pixels of a pair of images depend."""
 
     lenses: tuple[Camera, ...]
-    """Of the left and the right camera, or of the only one."""
     T_second_first: Array
-    """(4, 4) how one camera stands to the other, or now to where it stood."""
+    """(4, 4) left camera in the right one, or earlier camera in the later one."""
     by_unknowns: Array
-    """(k, K) of the intrinsics of each lens, and of the six increments of this pose, by the named
-    parameters of a head and the readings."""
+    """(k, K) derivatives of intrinsics and pose increments by head parameters and readings."""
 
 
 @dataclass(frozen=True, eq=False)
 class EpipolarResiduals:
-    """Residuals of N matches, linearised."""
+    """Linearised residuals of N matches."""
 
     residuals: Array
     """(N,) [px], measured minus predicted; NaN where a pixel has no direction."""
     normals: Array
-    """(N, 4) unit vectors: residuals change so with left u, v, right u, v."""
+    """(N, 4) unit derivatives by left u, v, right u, v."""
     by_coordinates: Array
-    """(N, k) of the predicted ones, by the `pair_coordinates`."""
+    """(N, k) derivatives of the predictions."""
 
 
 @dataclass(frozen=True, eq=False)
 class MotionResiduals:
-    """Residuals of N points that one camera saw twice, linearised; the earlier pixels are exact."""
+    """Linearised residuals of N tracked points; the earlier pixels are taken as exact."""
 
     residuals: Array
     """(N, 2) [px], measured minus predicted; NaN where a pixel has no direction."""
     by_coordinates: Array
-    """(N, 2, k) of the predicted ones, by the `motion_coordinates`."""
+    """(N, 2, k) derivatives of the predictions."""
     by_depth: Array
-    """(N, 2) of the predicted ones by the relative change of the depth."""
+    """(N, 2) derivatives of the predictions by the relative change of the depth."""
 
 
 def pair_coordinates(
     head: HeadCalibration, names: tuple[str, ...], joints: Array, cameras: tuple[str, str]
 ) -> Coordinates:
-    """Return what a pair of images depends on: both lenses, and T_rcam_lcam.
-
-    By named parameters (P) of the head and the readings (r,) [rad], which are K = P + r.
-    """
+    """Linearise lenses and T_rcam_lcam by named parameters and readings: K = P + r unknowns."""
     left, right = (camera_motion(head, name, joints) for name in cameras)
     motion = relative_motion(left, right)
     return _coordinates(head, names, cameras, motion, [motion.by_first + motion.by_second])
@@ -97,10 +89,9 @@ def pair_coordinates(
 def motion_coordinates(
     head: HeadCalibration, names: tuple[str, ...], before: Array, now: Array, camera: str
 ) -> Coordinates:
-    """Return what two images of one camera depend on: its lens, and T_now_before.
+    """Linearise the lens and T_now_before of one camera: K = P + 2 r unknowns.
 
-    By named parameters (P) of the head, the readings (r,) now and those before [rad], which are
-    K = P + 2 r.
+    They are named parameters, the readings now, and the readings before.
     """
     motion = relative_motion(*(camera_motion(head, camera, joints) for joints in (before, now)))
     return _coordinates(head, names, (camera,), motion, [motion.by_second, motion.by_first])
