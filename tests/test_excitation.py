@@ -53,7 +53,10 @@ POOR = [
     (Recording(together=True), (NOT_OBSERVABLE, "by 0.0")),
     (Recording(orientations=0), (NOT_OBSERVABLE, "in 1 view")),
     (own_placements(), ("give the views of a board that stands still one number in `placement`",)),
-    (Recording(slant_rad=(0.0, 0.0)), ("left_wide.fx and fy: hardly", "boards stand at one angle")),
+    (
+        Recording(slant_rad=(0.0, 0.0)),
+        ("left_wide.fx and fy rest on the turns", "boards stand at one angle"),
+    ),
     (Recording(straight=1, orientations=1), (TWICE, "record at least 3, better 10")),
     (blind(), ("right_wide shows the board in 0 images at rest",)),
 ]

@@ -50,7 +50,8 @@ class Renumbered:
     turns: Mapping[str, np.ndarray]
     """By camera: (V,) how often a board was turned: by pi, or by pi / 2 where it is square."""
     unclear: Mapping[str, np.ndarray]
-    """By camera: (V,) of bool: images whose turn nothing settles; they were left as they are."""
+    """By camera: (V,) of bool: images whose turn against other cameras, or views, nothing settles.
+    """
 
 
 @dataclass(eq=False)
@@ -88,7 +89,7 @@ def number_alike(observations: Observations, T_cam_target: Mapping[str, Array]) 
     _join(list(cameras.values()), S, MOST_TURNED_RAD if parallel else np.pi)
     _turn_fewest(list(cameras.values()), S)
     for name, camera in cameras.items():
-        turns[name][camera.view] = np.where(camera.unclear, 0, camera.turns)
+        turns[name][camera.view] = camera.turns
         unclear[name][camera.view] = camera.unclear
     middle = corner_points(board).mean(axis=0)
     T_turn = pose(S, middle - S @ middle)  # about the board's middle
@@ -212,10 +213,12 @@ def _join(cameras: list[_Camera], S: Array, most_turned_rad: float) -> None:
         mounted = camera.R_eye_cam is not None
         common = np.flatnonzero(np.isin(camera.placement, list(placed)) & ~camera.unclear)
         if not mounted and not (len(common) and camera.e in bases):
-            camera.unclear[:] = True
+            # Images that no other camera shares are as good in one numbering as in the other.
+            others = [each.placement for each in cameras if each is not camera]
+            camera.unclear |= np.isin(camera.placement, np.concatenate([*others, []]))
             continue
         R = camera.R_cam_target @ S[camera.turns]
-        if mounted:
+        if camera.R_eye_cam is not None:
             R = camera.R_base_eye @ camera.R_eye_cam @ R
         Y = np.eye(3)
         if len(common):
@@ -230,9 +233,11 @@ def _join(cameras: list[_Camera], S: Array, most_turned_rad: float) -> None:
             evidence = np.diff(np.sort(costs, axis=1)[:, :2], axis=1)[:, 0]
             for p, k, clear in zip(numbers, costs.argmin(axis=1), evidence >= CLEAR, strict=True):
                 here = camera.placement == p
-                camera.turns[here] = (camera.turns[here] + k) % len(S)
-                camera.unclear[here] |= not clear
-                R[here] = R[here] @ S[k]
+                if clear:
+                    camera.turns[here] = (camera.turns[here] + k) % len(S)
+                    R[here] = R[here] @ S[k]
+                else:
+                    camera.unclear[here] = True
         if mounted:
             bases.setdefault(camera.e, Y)
         else:
@@ -305,30 +310,30 @@ def _cost(off: Array) -> Array:
 def without_unclear(
     observations: Observations, numbered: Renumbered
 ) -> tuple[Observations, list[Finding]]:
-    """Leave out the images whose numbering nothing settles, and name them and the turned ones.
+    """Name the images whose board was turned, and leave out those that nothing settles.
 
-    VergenceError if these are most images of a camera.
+    Of a board whose ends differ in colour the detector's numbering stands. VergenceError if nothing
+    settles most images of a camera.
     """
-    findings, corners = [], dict(observations.corners)
+    findings, corners, board = [], dict(observations.corners), observations.board
     for name in corners:
-        for code, mask in (("boards-turned", numbered.turns), ("boards-unclear", numbered.unclear)):
-            rows = np.flatnonzero(mask[name]).tolist()
-            if not rows:
-                continue
-            where = f"{', '.join(map(observations.name_of_view, rows))} of {name}"
-            if code == "boards-turned":
-                sentence = f"The board is numbered from the wrong end, and was turned, in {where}."
-                findings.append(note(code, sentence, where))
-                continue
+        turned, unclear = (
+            np.flatnonzero(each[name]).tolist() for each in (numbered.turns, numbered.unclear)
+        )
+        if turned:
+            where = f"{', '.join(map(observations.name_of_view, turned))} of {name}"
+            sentence = f"The board is numbered from the wrong end, and was turned, in {where}."
+            findings.append(note("boards-turned", sentence, where))
+        if unclear and (board.columns + board.rows) % 2 == 0:
+            where = f"{', '.join(map(observations.name_of_view, unclear))} of {name}"
             sentence = (
                 "Neither readings nor other cameras settle from which end the board is numbered in "
-                f"{where}: use a board whose ends differ (ChArUco, or an odd number of rows or "
-                "columns of corners)"
+                f"{where}: use a board whose ends differ (ChArUco, or an even number of corners "
+                "one way and an odd one the other way)"
             )
-            seen = int(np.isfinite(corners[name]).any(axis=(1, 2)).sum())
-            if len(rows) > seen / 2:
+            if len(unclear) > np.isfinite(corners[name]).any(axis=(1, 2)).sum() / 2:
                 raise VergenceError(f"{sentence}.")
             corners[name] = corners[name].copy()
-            corners[name][rows] = np.nan
-            findings.append(warning(code, f"{sentence}; these images were left out.", where))
+            corners[name][unclear] = np.nan
+            findings.append(warning("boards-unclear", f"{sentence}; they were left out.", where))
     return replace(observations, corners=corners), findings

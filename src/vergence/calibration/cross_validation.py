@@ -44,7 +44,7 @@ JACKKNIFE_LIMITS = 2.0, 10.0
 """Ratios of standard deviations from which the stated ones are too small (the folds determine it to
 about a tenth), and from which parts of the views contradict each other."""
 VOID_MISFIT = 5.0
-"""Held-out error relative to that which noise explains, from which the result must not be used."""
+"""Ratio of the held-out error to its expectation, from which the result must not be used."""
 MISFIT_CAUSES = "look for backlash, a board that moved or bends, and time stamps of moving eyes"
 
 
@@ -181,7 +181,7 @@ def jackknife_ratio(whole: HeadCalibration, parts: Sequence[HeadCalibration]) ->
 
 
 def _rms(errors: list[Array], unit: float = 1.0) -> float | None:
-    """Return the root mean square of errors; None: there are none, or one is not known."""
+    """Compute the root mean square of errors; None: one of them, or all, are missing."""
     found = unit * float(np.sqrt((np.concatenate(errors) ** 2).mean())) if errors else np.nan
     return found if np.isfinite(found) else None
 

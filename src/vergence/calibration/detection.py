@@ -208,7 +208,7 @@ def _without_repeats(dataset: Dataset, seen: list[_Detection]) -> list[_Detectio
 
 
 def _check_board(dataset: Dataset, found: list[_Detection], *, all_images: bool) -> None:
-    """Refuse images of which more show another board than the one described, or mirrored ones.
+    """Refuse mirrored images, and those that mostly show another board than the one described.
 
     A few views of markers of another board agree with the description by chance. Of the first
     images at least half have to show another board.

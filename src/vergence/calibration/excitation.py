@@ -30,7 +30,7 @@ and 20 views the paper's method is then wrong by 7 degrees."""
 ONE_ANGLE_RAD = 0.1
 """Root mean square spread of the boards' normals below which they stand at one angle."""
 FOCAL_PART, FOCAL_SURE = 0.004, 1e-4
-"""Standard deviation of a focal length, relative to it, from which it is doubted, and below which
+"""Relative standard deviation of a focal length from which a warning is given, and below which
 the eye's own turns have slanted the board."""
 STRETCH_VIEWS, STRETCH_SIGNIFICANT = 6, 4.0
 """Minimum number of views per camera needed to estimate scatter, and significance threshold [sigma]
@@ -109,8 +109,8 @@ def doubtful_focal_lengths(
         part = float((focal_std_px[name] / np.diag(mounted.intrinsics.matrix)[:2]).max())
         if part > FOCAL_PART:
             sentence = (
-                f"{name}.fx and fy: hardly observable, known to {100 * part:.1f} %; record more "
-                f"views, and {SLANT}."
+                f"{name}.fx and fy are known to {100 * part:.1f} % only: record more views, and "
+                f"{SLANT}."
             )
             findings.append(warning("focal-length", sentence, name))
         if part < FOCAL_SURE:
@@ -122,8 +122,8 @@ def doubtful_focal_lengths(
         means = [normals[known & (seen.placement == p)].mean(axis=0) for p in numbers]
         if means and _spread(np.array(means))[0] < ONE_ANGLE_RAD:
             sentence = (
-                f"{name}.fx and fy: hardly observable, all boards stand at one angle, and only the "
-                f"turns of the eyes determine them; {SLANT}."
+                f"{name}.fx and fy rest on the turns of the eyes alone, since all boards stand at "
+                f"one angle: {SLANT}."
             )
             findings.append(warning("boards-at-one-angle", sentence, name))
     return findings

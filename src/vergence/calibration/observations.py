@@ -228,7 +228,7 @@ def most_seen(placement: np.ndarray, known: np.ndarray) -> np.ndarray:
 
 
 def base_by_boards(T_lbase_target: Array, T_rbase_target: Array) -> Array | None:
-    """Return T_rbase_lbase (4, 4) by boards that both eyes have placed; None: there is none.
+    """Compute T_rbase_lbase (4, 4) by boards that both eyes have placed; None: they share no board.
 
     The boards' poses (V, 4, 4) in both bases are those of `mean_placed`.
     """

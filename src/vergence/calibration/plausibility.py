@@ -372,8 +372,8 @@ def _lost_readings(evidence: Evidence, _: list[TurnFit]) -> Variants:
         read, turned = read[known], turns(views.T_cam_target[known, :3, :3])
         for r in used:
             others = np.column_stack([read[:, [u for u in used if u != r]], np.ones(len(read))])
-            left = turned - others @ np.linalg.lstsq(others, turned)[0]
-            U, s, _ = np.linalg.svd(left, full_matrices=False)
+            remaining = turned - others @ np.linalg.lstsq(others, turned)[0]
+            U, s = np.linalg.svd(remaining, full_matrices=False)[:2]
             instead = U[:, 0] * s[0] / np.linalg.norm(chain.mixing[:, r] @ chain.axes)
             what = (
                 f"{evidence.kinematics.readings[r]}, which changes by {np.std(read[:, r]):.2g} "
@@ -629,8 +629,8 @@ def implausible_geometry(head: HeadCalibration) -> list[Finding]:
     if across > MOST_TURNED_DEG:
         sentence = (
             f"T_rbase_lbase: the bases of the eyes are turned by {across:.0f} degrees against each "
-            "other, though the joints of both turn about the head's axes: check the signs of one "
-            "eye's readings, which is of which joint, and that they are zero at straight gaze."
+            "other, though the joints of both turn about the head's axes: check the signs and the "
+            "columns of one eye's readings, and that they are zero at straight gaze."
         )
         findings.append(void("bases-turned", sentence, "T_rbase_lbase"))
     baseline = float(np.linalg.norm(t))

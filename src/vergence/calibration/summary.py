@@ -23,8 +23,8 @@ from vergence.stereo.uncertainty import locate
 from vergence.vision.board_pose import seen_corners
 
 POOR_FIT = 1.5
-"""Held-out error relative to that which noise explains, from which something is amiss; with ten
-views or more of both eyes it stays below."""
+"""Ratio of the held-out error to its expectation, from which something is amiss; with ten views or
+more of both eyes it stays below."""
 LARGEST_EXPECTED = 0.1
 """Error that noise explains, relative to the distance, from which held-out points check nothing."""
 PART, SMALL = 1 / 3, 0.002
