@@ -1,7 +1,7 @@
 """Estimate of one frame: head and joint angles from readings, images and the filter's prior.
 
-The unknowns are the errors of the readings and the head parameters, both with Gaussian priors, so
-that a scene that shows little leaves the prior, and the covariance tells so.
+The unknowns are the errors of the readings and the head parameters, both with Gaussian priors. A
+scene that shows little leaves estimate and covariance at the prior.
 """
 
 from __future__ import annotations
@@ -174,10 +174,11 @@ def _fit(
 def _discount_revisits(
     state: FilterState, estimate: FrameEstimate, evidence: Evidence
 ) -> tuple[Array, Array]:
-    """Return normal equations (K, K) and (K,) in which the head's part is inflated at a revisit.
+    """Inflate the head's part of normal equations (K, K) and (K,) at a revisited posture.
 
-    Errors of matches that recur have been learned with the head, which would follow them from frame
-    to frame. Given the head, the frame determines its joints without inflation.
+    As in a Schmidt-Kalman filter the head is then a consider parameter: recurring errors of matches
+    have been learned with it, and it would follow them from frame to frame. Given the head, the
+    frame determines its joints without inflation.
     """
     N, b, P = evidence.information, evidence.vector, len(state.names)
     of_joints = N[P:, P:] + np.diag(state.reading_std_rad**-2.0)

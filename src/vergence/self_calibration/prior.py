@@ -1,4 +1,4 @@
-"""Prior of self-calibration: which parameters may be wrong, and by how much.
+"""Prior of self-calibration: the parameters to estimate, and their covariance.
 
 A calibration brings its covariance along. One without a covariance, such as that of the paper's
 method, gets usual tolerances, conditioned on what its procedure measured well: the relative pose of
