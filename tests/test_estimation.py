@@ -9,7 +9,7 @@ from simulated_head import rough_start, skewed_head
 from simulated_recording import Noise, two_boards
 from vergence.arrays import Array
 from vergence.calibration.bundle_adjustment import bundle_adjust, covariance_of
-from vergence.calibration.residuals import EyeDistance
+from vergence.calibration.priors import EyeDistance
 from vergence.estimation.adjustment import adjust
 from vergence.estimation.least_squares import least_squares
 from vergence.estimation.linear import eliminate, linearise, posterior

@@ -180,18 +180,9 @@ def test_turning_about_one_axis_or_none_is_refused(X: np.ndarray, moving: tuple[
         park_martin(eyes, inverse(eyes @ X) @ T_BASE_TARGET)
 
 
-@pytest.mark.parametrize(
-    ("eyes", "boards", "says"),
-    [
-        (np.eye(4)[None].repeat(2, 0), np.eye(4)[None].repeat(2, 0), "at least 3 views.*found 2"),
-        (np.eye(4)[None].repeat(4, 0), np.eye(4)[None].repeat(5, 0), "same shape"),
-        (np.zeros((4, 3, 3)), np.zeros((4, 3, 3)), "same shape"),
-        (np.full((4, 4, 4), np.nan), np.eye(4)[None].repeat(4, 0), "finite poses"),
-    ],
-)
-def test_unusable_views_are_refused(eyes: np.ndarray, boards: np.ndarray, says: str):
-    with pytest.raises(VergenceError, match=says):
-        park_martin(eyes, boards)
+def test_two_views_are_refused():
+    with pytest.raises(VergenceError, match=r"at least 3 views.*found 2"):
+        park_martin(np.tile(np.eye(4), (2, 1, 1)), np.tile(np.eye(4), (2, 1, 1)))
 
 
 @pytest.mark.parametrize(

@@ -5,9 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vergence.calibration.intrinsics import calibrate_camera
+from vergence.calibration.intrinsics import (
+    FOLDS,
+    calibrate_camera,
+    held_out_squares,
+    jackknife_covariance,
+)
 from vergence.calibration.lens_choice import best_lens, choose_lenses
-from vergence.calibration.lens_statistics import FOLDS, held_out_squares, jackknife_covariance
 from vergence.calibration.lenses import fit_lens, fit_model, free_intrinsics
 from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError

@@ -8,8 +8,7 @@ import pytest
 from test_intrinsics import FISHEYE, LENSES, POINTS, SIZE, boards
 from vergence.arrays import Array
 from vergence.calibration.intrinsics import calibrate_camera
-from vergence.calibration.lens_prior import EQUIDISTANT, LensPrior
-from vergence.calibration.unknowns import lens_block
+from vergence.calibration.priors import EQUIDISTANT, LensPrior, lens_block
 from vergence.estimation.linear import linearise
 from vergence.estimation.variables import Variables
 from vergence.geometry.camera import Camera, pinhole, project

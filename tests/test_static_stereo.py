@@ -11,7 +11,7 @@ from head_kinds import STRAIGHT, lens_head, recording
 from simulated_head import random_camera, random_pose
 from simulated_recording import EXACT
 from test_intrinsics import POINTS, SINGLE_PRECISION_POSE, SINGLE_PRECISION_PX, boards, views
-from vergence.calibration.static_stereo import calibrate_pair
+from vergence.calibration.initial import calibrate_pair
 from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera
 from vergence.geometry.se3 import boxminus, pose

@@ -9,8 +9,14 @@ from typing import ClassVar
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.lens_prior import LAST_ASSUMED, lens_priors
 from vergence.calibration.observations import Observations, missing_reading
+from vergence.calibration.priors import (
+    LAST_ASSUMED,
+    board_scale_block,
+    boards_block,
+    head_block,
+    lens_priors,
+)
 from vergence.calibration.read_motion import read_motion
 from vergence.calibration.residuals import (
     TARGET_SHIFTS,
@@ -23,7 +29,6 @@ from vergence.calibration.residuals import (
     Reprojection,
     TargetPoses,
 )
-from vergence.calibration.unknowns import board_scale_block, boards_block, head_block
 from vergence.data.timing import stencil
 from vergence.errors import VergenceError
 from vergence.estimation.residual import Residual

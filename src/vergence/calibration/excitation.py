@@ -12,8 +12,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.bundle_findings import ADVISED
-from vergence.calibration.intrinsics import Intrinsics
-from vergence.calibration.lens_statistics import jackknife_covariance, noise_covariance
+from vergence.calibration.intrinsics import Intrinsics, jackknife_covariance, noise_covariance
 from vergence.calibration.lenses import without_poses
 from vergence.calibration.observations import Observations, camera_eyes, most_seen
 from vergence.errors import VergenceError, counted

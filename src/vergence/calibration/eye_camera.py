@@ -16,7 +16,7 @@ from vergence.calibration.bundle_adjustment import (
 )
 from vergence.calibration.hand_eye import robust_park_martin
 from vergence.calibration.observations import Observations
-from vergence.calibration.residuals import ParametersPrior
+from vergence.calibration.priors import ParametersPrior
 from vergence.errors import VergenceError
 from vergence.estimation.residual import OUTLIER
 from vergence.findings import Finding, warning

@@ -54,16 +54,8 @@ def park_martin(T_base_eye: Array, T_cam_target: Array) -> Array:
     """Compute T_eye_cam (4, 4) from N views of a board at rest.
 
     The eye's poses T_base_eye (N, 4, 4) are from the joint readings, the board's T_cam_target (N,
-    4, 4) from the images. VergenceError if shapes do not fit, a pose is not finite, or the motion
-    is degenerate.
+    4, 4) from the images. VergenceError if there are too few, or the motion is degenerate.
     """
-    if T_base_eye.shape != T_cam_target.shape or T_base_eye.shape[1:] != (4, 4):
-        raise VergenceError(
-            "park_martin needs two arrays of the same shape (N, 4, 4), found "
-            f"{T_base_eye.shape} and {T_cam_target.shape}."
-        )
-    if not (np.isfinite(T_base_eye).all() and np.isfinite(T_cam_target).all()):
-        raise VergenceError("park_martin needs finite poses, found NaN or infinity.")
     if len(T_base_eye) < 3:
         raise VergenceError(
             f"park_martin needs at least 3 views at different eye angles, found {len(T_base_eye)}."

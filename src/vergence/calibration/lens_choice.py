@@ -18,8 +18,7 @@ import cv2
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.intrinsics import lenses_of_the_paper
-from vergence.calibration.lens_statistics import held_out_squares
+from vergence.calibration.intrinsics import held_out_squares, lenses_of_the_paper
 from vergence.calibration.lenses import (
     FREE_COEFFICIENTS,
     ROUGH,

@@ -14,8 +14,7 @@ import cv2
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.lens_prior import EQUIDISTANT, lens_priors
-from vergence.calibration.unknowns import lens_block
+from vergence.calibration.priors import EQUIDISTANT, lens_block, lens_priors
 from vergence.estimation.least_squares import TOLERANCE, least_squares
 from vergence.estimation.variables import Variables
 from vergence.geometry.camera import Camera, pinhole

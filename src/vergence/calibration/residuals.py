@@ -12,7 +12,6 @@ Poses change by the increment of `se3.boxplus`.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -25,14 +24,12 @@ from vergence.estimation.residual import Levels, Residual, Rows
 from vergence.estimation.variables import Variables
 from vergence.geometry.batches import product, times
 from vergence.geometry.eye_motion import eye_linearised
-from vergence.geometry.head import HeadCalibration, MountedCamera
+from vergence.geometry.head import MountedCamera
 from vergence.geometry.kinematics import EYES, T_base_eye
 from vergence.geometry.parameter_names import joint_names
 from vergence.geometry.parameters import (
     camera_columns,
-    change_between,
     lens_vector,
-    named_columns,
 )
 from vergence.geometry.projection import (
     T_lbase_cam,
@@ -401,50 +398,3 @@ class Readings(Residual):
         """Take the trajectory from readings that are known well."""
         well = {k for k in set(self.level) if levels[k] < TRUSTED_READINGS * determined[k]}
         return replace(self, trusted=self.trusted | well)
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class EyeDistance(Residual):
-    """The distance between the eyes, measured by hand."""
-
-    distance_m: float
-    std_m: float
-    robust: bool = False
-
-    def error(self, x: Variables) -> Array:
-        distance_m = float(np.linalg.norm(x["head"].T_rbase_lbase[:3, 3]))
-        return np.array([[(distance_m - self.distance_m) / self.std_m]])
-
-    def rows(self, x: Variables) -> Rows:
-        head: HeadCalibration = x["head"]
-        t, (name, mounted) = head.T_rbase_lbase[:3, 3], next(iter(head.cameras.items()))
-        lens = len(lens_vector(mounted.intrinsics))
-        between = camera_columns(head, name)[lens + 9 : lens + 12]  # after the mounting, turns
-        by_t = t / np.linalg.norm(t) / self.std_m
-        return Rows(by_t[None, None], x.columns("head")[between][None])
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class ParametersPrior(Residual):
-    """Parameters of the head that were estimated before, with their covariance."""
-
-    names: tuple[str, ...]
-    """(p,) see geometry.parameters."""
-    head: HeadCalibration
-    """With their values."""
-    covariance: Array
-    """(p, p); directions without variance count as known to a millionth of the largest."""
-    robust: bool = False
-
-    @cached_property
-    def _whitening(self) -> Array:
-        std = np.sqrt(np.diag(self.covariance))
-        values, vectors = np.linalg.eigh(self.covariance / np.outer(std, std))
-        return vectors.T / np.sqrt(np.maximum(values, 1e-12))[:, None] / std
-
-    def error(self, x: Variables) -> Array:
-        return (self._whitening @ change_between(x["head"], self.head, self.names))[None]
-
-    def rows(self, x: Variables) -> Rows:
-        columns = x.columns("head")[named_columns(self.head, self.names)]
-        return Rows(self._whitening[None].copy(), columns[None])
