@@ -14,9 +14,6 @@ import numpy as np
 
 from vergence.arrays import Array
 
-BLOCK = 512
-"""Matrices whose products stay in the cache of a core; chosen with benchmarks/located_points.py."""
-
 ignoring_invalid = np.errstate(invalid="ignore", divide="ignore", over="ignore")
 """As a decorator: NaN and infinity mark what is not seen, and need no warning."""
 
@@ -71,7 +68,7 @@ def product(a: Array, b: Array) -> Array:
         rows = batch_last(a, 2)
         whole = b.T @ rows.reshape(*rows.shape[:2], math.prod(rows.shape[2:]))
         return batch_first(whole.reshape(len(rows), b.shape[1], *rows.shape[2:]), 2)
-    return _in_cache("...ij,...jk->...ik", a, b)
+    return np.einsum("...ij,...jk->...ik", a, b)
 
 
 def times(matrix: Array, v: Array) -> Array:
@@ -95,15 +92,3 @@ def dot(a: Array, b: Array) -> Array:
     if a.ndim == b.ndim == 1:
         return a @ b
     return np.einsum("...i,...i->...", a, b)
-
-
-def _in_cache(subscripts: str, a: Array, b: Array) -> Array:
-    """Sum products by einsum, of long batches block by block: in a third of the time."""
-    n = len(a)
-    if a.ndim != 3 or b.ndim != 3 or n != len(b) or n <= BLOCK:
-        return np.einsum(subscripts, a, b)
-    whole = batch_first(np.empty((a.shape[1], b.shape[2], n)), 2)
-    for start in range(0, n, BLOCK):
-        part = slice(start, start + BLOCK)
-        np.einsum(subscripts, a[part], b[part], out=whole[part])
-    return whole

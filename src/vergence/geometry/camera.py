@@ -167,8 +167,9 @@ def project_jacobians(
     by_point[1, 0], by_point[1, 1] = fy * xy * inv_z, fy * yy * inv_z
     by_point[:, 2] = -x * by_point[:, 0] - y * by_point[:, 1]
     of_lens = len(COEFFICIENTS[camera.model]) if intrinsics else -4
-    by_intrinsics = np.zeros((2, 4 + of_lens, *batch))
+    by_intrinsics = np.empty((2, 4 + of_lens, *batch))
     if intrinsics:
+        by_intrinsics[:, :4] = 0.0
         by_intrinsics[0, 0], by_intrinsics[1, 1] = x_lens, y_lens
         by_intrinsics[0, 2] = by_intrinsics[1, 3] = 1.0
         of_x, of_y = lens.by_coefficients(camera.model, camera.coefficients, x, y)

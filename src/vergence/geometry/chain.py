@@ -83,6 +83,6 @@ def chain_pose(chain: Chain, readings: Array) -> Array:
 
 def pose_of(R: Array, t: Array, batch: tuple[int, ...]) -> Array:
     """Join rotations and translations, which broadcast, to poses (*batch, 4, 4)."""
-    T = batch_first(np.zeros((4, 4, *batch)), 2)
-    T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = R, t, 1.0
+    T = batch_first(np.empty((4, 4, *batch)), 2)
+    T[..., :3, :3], T[..., :3, 3], T[..., 3, :] = R, t, [0.0, 0.0, 0.0, 1.0]
     return T

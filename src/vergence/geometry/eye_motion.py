@@ -80,11 +80,11 @@ def eye_motion(
             moves.append((along - times(R[k + 1], direction), t[-1] - t[k]))
         else:
             moves.append((None, along))
-    by_moves = np.zeros((6, len(moves), *readings.shape[:-1]))
+    by_moves = np.empty((6, len(moves), *readings.shape[:-1]))
     for column, (turn, arm) in enumerate(moves):
         into = batch_first(by_moves[:, column])
         if turn is None:
-            into[..., 3:] = arm
+            into[..., :3], into[..., 3:] = 0.0, arm
         else:
             into[..., :3], into[..., 3:] = turn, cross(turn, arm)
     T = pose_of(R[-1], t[-1], readings.shape[:-1])

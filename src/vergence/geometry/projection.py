@@ -140,7 +140,8 @@ def _by_pose(by_point: Array, arm: Array) -> Array:
         arm: (..., 3) the point from the frame's origin, along the same axes.
     """
     found = batch_first(np.empty((2, 6, *by_point.shape[:-2])), 2)
-    found[..., :3] = cross(by_point, arm[..., None, :])
+    for k in (0, 1):
+        found[..., k, :3] = cross(by_point[..., k, :], arm)
     np.negative(by_point, out=found[..., 3:])
     return found
 
@@ -154,7 +155,9 @@ def by_pose_of_points(by_point: Array, turned: Array) -> Array:
             pose maps into.
     """
     found = batch_first(np.empty((2, 6, *by_point.shape[:-2])), 2)
-    found[..., :3], found[..., 3:] = cross(turned[..., None, :], by_point), by_point
+    for k in (0, 1):
+        found[..., k, :3] = cross(turned, by_point[..., k, :])
+    found[..., 3:] = by_point
     return found
 
 

@@ -35,6 +35,7 @@ from vergence.geometry.camera_motion import RelativeMotion, camera_motion, relat
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameter_names import intrinsics_names
 from vergence.geometry.parameters import camera_columns, named_columns
+from vergence.geometry.projection import by_pose_of_points
 from vergence.geometry.se3 import cross
 
 _FARTHEST_M = 50.0
@@ -161,10 +162,11 @@ def motion_residuals(
     pixels, by_point, by_lens = project_jacobians(lens, turned + t)
     # The point follows what the earlier pixel demands, at its depth.
     by_pixels = product(product(by_point, R[:, :2]), by_earlier) * depths_m[:, None, None]
-    by_turn = cross(turned[:, None], by_point)
     return MotionResiduals(
         residuals=later - pixels,
-        by_coordinates=joined(by_lens - product(by_pixels, by_lens_then), by_turn, by_point),
+        by_coordinates=joined(
+            by_lens - product(by_pixels, by_lens_then), by_pose_of_points(by_point, turned)
+        ),
         by_depth=times(by_point, turned),
     )
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.geometry.batches import (
-    BLOCK,
     batch_first,
     batch_last,
     dot,
@@ -27,6 +26,10 @@ from vergence.geometry.projection import project_with_jacobians
 from vergence.geometry.se3 import cross
 from vergence.stereo.sightings import Sightings
 from vergence.stereo.triangulation import intersect_rays
+
+BLOCK = 1024
+"""Points whose derivatives by a calibration stay in the cache; chosen with
+benchmarks/located_points.py."""
 
 
 def pair_parameters(head: HeadCalibration, cameras: tuple[str, str]) -> tuple[str, ...]:
