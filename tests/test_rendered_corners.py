@@ -1,4 +1,4 @@
-"""Corners found in clean renders of a calibration sequence, and what they make of the lenses."""
+"""Corners detected in clean renders of a calibration sequence."""
 
 from dataclasses import replace
 
@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from simulated_twin import simulate_views
-from vergence.calibration.intrinsics import calibrate_camera
 from vergence.calibration.observations import Observations
-from vergence.geometry.board import corner_points
 from vergence.geometry.head import HeadCalibration
 from vergence.twin.calibration_sequence import BOARD, Shot, capture_views, plan
 from vergence.twin.head import Twin
@@ -113,15 +111,3 @@ def test_focal_length_and_principal_point_of_clean_renders_are_mujocos(rendered:
             assert abs(focal / slope - 1) * size / 2 < 0.05
             if name.endswith("wide"):
                 assert abs(focal - slope) < 0.05
-
-
-def test_zhangs_method_on_clean_renders_finds_the_rays(rendered: Rendered):
-    """Without given poses, the same corners leave the focal length open to a few tenths of a
-    pixel, along with the poses."""
-    truth, found, _ = rendered
-    for name in ("left_wide", "right_wide"):
-        about = {"size": (640, 480), "lens_model": "radial-tangential"}
-        fit = calibrate_camera(found.corners[name], corner_points(BOARD), **about)
-        difference = fit.camera.matrix - truth.cameras[name].intrinsics.matrix
-        assert np.abs(difference).max() < 0.5
-        assert fit.rms_px < 0.06
