@@ -28,10 +28,7 @@ NO_CORNERS, UNREADABLE_IMAGE = "no-corners", "unreadable-image"
 class Observations:
     """What the cameras saw of a board with K corners in V views, and what the joints read.
 
-    Raises:
-        VergenceError: when made of arrays whose shapes do not fit, of infinite corners, of poses
-            that are not rigid, or of cameras without a size, or with a name or an eye that a head
-            cannot have.
+    VergenceError when made of arrays, poses or cameras that cannot be.
     """
 
     board: Board
@@ -214,12 +211,7 @@ def readable(observations: Observations, eye: Side) -> np.ndarray:
 
 
 def most_seen(placement: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Return the views (N,) of the placement with the most of those that are known, perhaps none.
-
-    Args:
-        placement: (V,) its number in each view.
-        known: (V,) of bool.
-    """
+    """Select the views (N,) of the placement (V,) that has most known ones (V,), perhaps none."""
     views = np.flatnonzero(known)
     if not len(views):
         return views

@@ -169,17 +169,13 @@ def fit_eye(evidence: Evidence, views: EyeViews) -> TurnFit:
 def _gains(kinematics: Kinematics, eye: Side, readings: Array, turn: Array) -> Array:
     """Estimate how far each reading (N, u) of an eye turns it, relative to the description.
 
-    Turns (N, 3) of a camera are linear in the readings as long as they are small. Least trimmed
-    squares: the fit is to three quarters of the views, first to those of usual readings.
+    Turns (N, 3) of a camera are linear in the readings as long as they are small. The fit starts
+    from the views of usual readings.
     """
     away = np.abs(readings - np.median(readings, axis=0))
     off = (away / np.maximum(np.median(away, axis=0), 1e-9)).max(axis=1)
     rows = np.column_stack([readings, np.ones(len(readings))])
-    w, kept = np.zeros((rows.shape[1], 3)), off
-    for _ in range(10):
-        kept = off <= np.quantile(off, 1 - MOST_OUTLIERS)
-        w = np.linalg.lstsq(rows[kept], turn[kept], rcond=None)[0]
-        off = np.linalg.norm(turn - rows @ w, axis=1)
+    w, kept = _trimmed(rows[:, None], turn[:, None], off)
     chain = kinematics.chains[eye]
     w, d = w[:-1], chain.mixing[:, kinematics.used(eye)].T @ chain.axes
     lengths = np.linalg.norm([w, d], axis=2)
@@ -205,12 +201,23 @@ def _metre(T_base_eye: Array, T_cam_target: Array, R: Array) -> float:
     if np.linalg.cond(rows.reshape(-1, 4) / lengths) > 1e4:
         far = float(np.median(np.linalg.norm(T_base_eye[:, :3, 3], axis=1)))
         return 1.0 if far < FARTHEST_M else METRES["millimetres"]
-    right, off, found = B[:, :3, 3] @ R.T, np.zeros(len(A)), np.zeros(4)
+    right = B[:, :3, 3] @ R.T
+    return float(_trimmed(rows, right[..., None], np.zeros(len(rows)))[0][3, 0])
+
+
+def _trimmed(rows: Array, right: Array, off: Array) -> tuple[Array, np.ndarray]:
+    """Solve rows (N, a, k) @ x = right (N, a, m) by least trimmed squares.
+
+    The fit is to the share of views that it fits best, first to those of the smallest `off` (N,).
+    Returns x (k, m) and which views (N,) it is to.
+    """
+    k, m = rows.shape[-1], right.shape[-1]
+    x, kept = np.zeros((k, m)), off > np.inf
     for _ in range(10):
         kept = off <= np.quantile(off, 1 - MOST_OUTLIERS)
-        found = np.linalg.lstsq(rows[kept].reshape(-1, 4), right[kept].ravel())[0]
-        off = np.linalg.norm(right - rows @ found, axis=1)
-    return float(found[3])
+        x = np.linalg.lstsq(rows[kept].reshape(-1, k), right[kept].reshape(-1, m))[0]
+        off = np.linalg.norm(right - rows @ x, axis=(1, 2))
+    return x, kept
 
 
 def turns(R_cam_target: Array) -> Array:
