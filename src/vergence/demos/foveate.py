@@ -168,16 +168,8 @@ def foveate(
 ) -> tuple[Summary, list[Trial]]:
     """Calibrate the twin and run a trial for each of a number of objects.
 
-    The folder gets foveate.json, the recording foveate.rrd of the first RECORDED trials, and
-    depth.png.
-
-    Args:
-        experiment: its settings.
-        progress: is called after each trial.
-        trials: number of objects.
-
-    Raises:
-        VergenceError: an argument is out of range, or the folder cannot be written.
+    The folder gets foveate.json, depth.png, and the recording foveate.rrd of the first RECORDED
+    trials. Raises VergenceError if an argument is out of range, or a file cannot be written.
     """
     check_trials(trials)
     with (

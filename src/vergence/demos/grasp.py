@@ -175,17 +175,10 @@ def summary(trials: list[Trial]) -> Summary:
 def grasp(
     experiment: Experiment, progress: Progress = silent, *, trials: int = 10
 ) -> tuple[Summary, list[Trial]]:
-    """Calibrate the twin, and hold out objects to it.
+    """Calibrate the twin, and hold out objects to it, each with a mounting error of the arm.
 
-    The folder gets grasp.json, and the recording grasp.rrd of the first RECORDED trials.
-
-    Args:
-        experiment: its settings.
-        progress: is called after each trial.
-        trials: number of objects; each has its own path, and its own mounting error of the arm.
-
-    Raises:
-        VergenceError: an argument is out of range, or the folder cannot be written.
+    The folder gets grasp.json, and the recording grasp.rrd of the first RECORDED trials. Raises
+    VergenceError if an argument is out of range, or a file cannot be written.
     """
     check_trials(trials)
     seed = experiment.seed

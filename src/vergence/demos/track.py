@@ -148,14 +148,11 @@ def follow(
 
 
 def _statistics(table: Array, seconds: float, hidden_s: float | None) -> Summary:
-    """Compute the statistics of a run.
+    """Compute the statistics of a run from the rows (N, 7) of the frames that count.
 
-    Args:
-        table: (N, 7) of the frames that count: time [s]; whether the object is in both narrow
-            images; its distances from their centres [px]; and squared errors [m^2] of the track,
-            of the single frame and of the wide images, NaN without an estimate.
-        seconds: length of the run.
-        hidden_s: time from which the object was hidden for HIDDEN_S; None: it was not.
+    A row has the time [s]; whether the object is in both narrow images; its distances from their
+    centres [px]; and squared errors [m^2] of the track, of the single frame and of the wide images,
+    NaN without an estimate.
     """
     time, seen = table[:, 0], table[:, 1] == 1
     fused, single, wide = (column[np.isfinite(column)] for column in table[:, 4:].T)
@@ -196,15 +193,8 @@ def by_wide_images(settings: GazeSettings, frame: Frame) -> Array:
 def track(experiment: Experiment, progress: Progress = silent, *, seconds: float = 60.0) -> Summary:
     """Calibrate the twin, and track an object that is hidden once on its way.
 
-    The folder gets track.json and the recording track.rrd.
-
-    Args:
-        experiment: its settings.
-        progress: is called with the seconds so far after every state.
-        seconds: length of the run.
-
-    Raises:
-        VergenceError: an argument is out of range, or the folder cannot be written.
+    The folder gets track.json and the recording track.rrd. Raises VergenceError if an argument is
+    out of range, or a file cannot be written.
     """
     if not SHORTEST_S <= seconds <= LONGEST_S:
         raise VergenceError(f"A run takes {SHORTEST_S:.0f} to {LONGEST_S:.0f} s, found {seconds}.")

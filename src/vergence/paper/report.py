@@ -59,24 +59,16 @@ def _depth_std_from_joints(result: Replay, profile: ErrorProfile, head: HeadCali
 
 def figure_report(result: Replay, profile: ErrorProfile, head: HeadCalibration) -> str:
     """Write the markdown page for a figure's recording."""
-    figure, ours = result.figure, result.statistics
-    columns = zip("xyz", figure.mean_m, ours.mean_m, ours.std_m, figure.std_m, strict=True)
-    rows = [
-        (axis, f"{at:+.3f}", f"{mean:+.4f}", f"{std:.4f}", f"{paper:.3f}", f"{std / paper:.2f}")
-        for axis, at, mean, std, paper in columns
+    figure = result.figure
+    parts = [
+        f"# Fig. {figure.number}: {figure.motion} motion, {figure.lens} lens",
+        "The eyes move, the object does not: a perfect head would draw three straight lines. "
+        "Positions in metres from the left eye's rotation centre; x is depth.",
+        _std_table([result], {figure.lens: head}, profile),
+        _mean_table([result]),
+        f"Error profile `{profile.name}`: {profile.description} {_fitted_line(profile)}",
     ]
-    return f"""# Fig. {figure.number}: {figure.motion} motion, {figure.lens} lens
-
-The eyes move, the object does not: a perfect head would draw three straight lines.
-Positions in metres from the left eye's rotation centre; x is depth.
-
-{markdown_table("| object | mean | std | paper's std | ratio", rows)}
-
-{ours.samples} samples located, {ours.dropped} dropped. Eqs. 20-21 predict a standard deviation of
-depth of {_depth_std_from_joints(result, profile, head):.4f} m from the joint sensors alone.
-
-Error profile `{profile.name}`: {profile.description} {_fitted_line(profile)}
-"""
+    return "\n\n".join(parts) + "\n"
 
 
 def report(done: Reproduction) -> str:
