@@ -21,7 +21,6 @@ from vergence.files import (
     as_json,
     finished_files,
     results_folder,
-    unfinished,
     whole_folder,
     write_json,
     write_whole,
@@ -78,7 +77,7 @@ def test_of_two_processes_that_write_one_file_the_last_wins_whole(tmp_path):
 
 
 @pytest.mark.slow
-def test_what_a_killed_process_leaves_is_told_from_what_another_is_writing(tmp_path):
+def test_what_a_killed_process_leaves_is_removed_by_the_next_run(tmp_path):
     (tmp_path / "second.txt").write_text("old")
     holder = start(HELD, tmp_path)
     assert holder.stdout is not None
@@ -92,33 +91,30 @@ def test_what_a_killed_process_leaves_is_told_from_what_another_is_writing(tmp_p
     holder.communicate()
     assert len(temporaries(tmp_path)) == 2
     assert (tmp_path / "second.txt").read_text() == "mine"
-    assert unfinished(tmp_path)
+    assert (tmp_path / UNFINISHED).exists()
     assert "of different runs" in (tmp_path / UNFINISHED).read_text()
     with results_folder(tmp_path):
         write_whole(tmp_path / "second.txt", "next")
         with whole_folder(tmp_path / "set"):
             pass
-    assert not unfinished(tmp_path)
+    assert not (tmp_path / UNFINISHED).exists()
     assert temporaries(tmp_path) == []
-
-
-def test_a_folder_that_a_failed_run_made_for_nothing_is_gone(tmp_path):
-    with pytest.raises(KeyboardInterrupt), results_folder(tmp_path / "results"):
-        raise KeyboardInterrupt
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("wrote", [False, True])
 def test_a_folder_is_marked_if_a_run_that_failed_had_written_there(tmp_path, wrote):
     with pytest.raises(KeyboardInterrupt), results_folder(tmp_path):  # noqa: PT012
-        assert unfinished(tmp_path)
+        assert (tmp_path / UNFINISHED).exists()
         if wrote:
             write_whole(tmp_path / "a.txt", "a")
         raise KeyboardInterrupt
-    assert unfinished(tmp_path) == wrote
+    assert (tmp_path / UNFINISHED).exists() == wrote
     with results_folder(tmp_path):
         pass
-    assert not unfinished(tmp_path)
+    assert not (tmp_path / UNFINISHED).exists()
+    with pytest.raises(KeyboardInterrupt), results_folder(tmp_path / "new"):
+        raise KeyboardInterrupt
+    assert not (tmp_path / "new").exists()
 
 
 @pytest.mark.render  # which the import of a demo needs
@@ -164,11 +160,9 @@ def test_permissions_are_those_of_the_user_and_stay(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["[a-z]*?.txt", ".hidden", "a" * 250, "\N{GREEK SMALL LETTER PI}"])
-def test_odd_names_are_written_and_their_remains_removed(tmp_path, name):
+def test_odd_names_are_written(tmp_path, name):
     for text in ("one", "two"):
         write_whole(tmp_path / name, text)
-    (tmp_path / f".{name[:60]}.abc.part").mkdir()
-    write_whole(tmp_path / name, "three")
     assert [path.name for path in tmp_path.iterdir()] == [name]
 
 

@@ -6,7 +6,6 @@ import os
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import fields
 from functools import cache
 from typing import Annotated, Any, TypeVar
 
@@ -54,22 +53,20 @@ Matrix = Annotated[Array, *_shaped(None, None)]
 
 MAX_M = 1e6
 """Largest coordinate of a translation or a point [m]; far larger ones overflow."""
-_EYE, _LAST_ROW = np.eye(3), np.array([0.0, 0.0, 0.0, 1.0])
 
 
 def _rigid(array: Array) -> Array:
     """Check that a (4, 4) array is a rigid transform in metres; ValueError otherwise."""
     R = array[:3, :3]
-    (a, b, c), (d, e, f), (g, h, i) = R.tolist()  # plain numbers are fast
-    handed = a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g)
-    if np.abs(R).max() > 1.1 or np.abs(R @ R.T - _EYE).max() > 2e-6 or handed < 0:
+    handed = np.linalg.det(R)
+    if np.abs(R).max() > 1.1 or np.abs(R @ R.T - np.eye(3)).max() > 2e-6 or handed < 0:
         problem = "left-handed axes or" if handed < 0 else "a quaternion that is not normalised, or"
         raise ValueError(
             f"expected a rigid transform, found {problem} a rotation part that is not a rotation"
         )
     if np.abs(array[:3, 3]).max() > MAX_M:
         raise ValueError(f"expected a translation in metres, found {array[:3, 3].tolist()}")
-    if np.abs(array[3] - _LAST_ROW).max() > 1e-9:
+    if np.abs(array[3] - [0, 0, 0, 1]).max() > 1e-9:
         raise ValueError(f"expected a last row of 0 0 0 1, found {array[3].tolist()}")
     return array
 
@@ -100,13 +97,9 @@ def replace_unchecked(instance: _Instance, **changes: Any) -> _Instance:
         if isinstance(value, np.ndarray):
             value.setflags(write=False)
     own = vars(instance)  # also has what was cached, which would be wrong
-    vars(changed).update({name: own[name] for name in _field_names(type(instance))} | changes)
+    names = type(instance).__dataclass_fields__  # pyright: ignore[reportAttributeAccessIssue]
+    vars(changed).update({name: own[name] for name in names} | changes)
     return changed
-
-
-@cache
-def _field_names(kind: type) -> tuple[str, ...]:
-    return tuple(each.name for each in fields(kind))
 
 
 def scatter_add(values: Array, places: tuple[np.ndarray, ...], shape: tuple[int, ...]) -> Array:

@@ -5,9 +5,7 @@ docs/security.md states the limits of every reader and the guarantees of writing
 
 from __future__ import annotations
 
-import contextlib
 import errno
-import glob
 import json
 import math
 import os
@@ -37,6 +35,8 @@ MAX_DIGITS = 40
 REPORT = "report.md"
 UNFINISHED = "UNFINISHED.txt"
 """Marks a folder of results while a run writes into it, and after a run that was stopped."""
+TEMPORARY = ".part"
+"""Ending of folders with files that are being written."""
 
 finished_files: list[Path] = []
 """Files and datasets that this process has written, in order."""
@@ -72,17 +72,11 @@ def read_parsed(
     *,
     most_bytes: int = MAX_JSON_BYTES,
 ) -> T:
-    """Read, parse and validate a text file in UTF-8.
+    """Read, parse and build the content of a text file in UTF-8.
 
-    Args:
-        path: the file.
-        what: the kind of file with its article, for messages.
-        build: makes the result of the parsed content; raises ValueError for invalid content.
-        parse: parses the text into dictionaries and lists; raises ValueError.
-        most_bytes: largest size [bytes].
-
-    Raises:
-        VergenceError: the file is missing, too large or invalid.
+    `what` names the kind of file with its article. `parse` makes dictionaries and lists of the
+    text, and `build` the result of these; both raise ValueError for invalid content. VergenceError
+    if the file is missing, too large or invalid.
     """
     content = read_bytes(path, most_bytes)
     try:
@@ -137,6 +131,31 @@ def _finite(digits: str) -> str:
 
 
 @contextmanager
+def _writing(path: Path) -> Iterator[None]:
+    """Raise errors of the system as VergenceError."""
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or explain(error)
+        raise VergenceError(f"Cannot write {path}: {reason}.") from error
+
+
+@contextmanager
+def _replaced(target: Path) -> Iterator[Path]:
+    """Give a `with` block a path in a temporary folder, and rename it to the target afterwards."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(
+        dir=target.parent,
+        prefix=f".{target.name[:60]}.",
+        suffix=TEMPORARY,
+        ignore_cleanup_errors=True,
+    ) as folder:
+        part = Path(folder) / target.name
+        yield part
+        os.replace(part, target)
+
+
+@contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
     """Give a `with` block a temporary file, and rename it to its final name afterwards.
 
@@ -144,18 +163,12 @@ def whole_file(path: Path) -> Iterator[Path]:
     was. Parent folders are created. VergenceError if the file cannot be written.
     """
     target = check_writable(path)
-    try:
-        with _temporary_folder(target) as folder:
-            part = folder / target.name
-            yield part
-            with part.open("rb") as file:
-                os.fsync(file.fileno())  # a full disk may show only now
-            if target.exists():
-                shutil.copymode(target, part)
-            os.replace(part, target)
-    except OSError as error:
-        kept = "; the file of that name is as it was" if target.is_file() else ""
-        raise VergenceError(f"Cannot write {path}: {_reason(error)}{kept}.") from error
+    with _writing(path), _replaced(target) as part:
+        yield part
+        with part.open("rb") as file:
+            os.fsync(file.fileno())  # a full disk may show only now
+        if target.exists():
+            shutil.copymode(target, part)
     finished_files.append(path)
 
 
@@ -167,72 +180,11 @@ def whole_folder(folder: Path) -> Iterator[Path]:
     not empty.
     """
     check_new(folder)
-    try:
-        with _temporary_folder(folder) as temporary:
-            part = temporary / folder.name
-            part.mkdir()
-            yield part
-            check_new(folder)
-            os.replace(part, folder)
-    except OSError as error:
-        raise VergenceError(f"Cannot write the folder {folder}: {_reason(error)}.") from error
+    with _writing(folder), _replaced(folder) as part:
+        part.mkdir()
+        yield part
+        check_new(folder)
     finished_files.append(folder)
-
-
-@contextmanager
-def _temporary_folder(target: Path) -> Iterator[Path]:
-    """Make a folder beside a target, locked until it is removed.
-
-    The lock tells it from the folders that killed processes left behind; these are removed.
-    """
-    prefix = f".{target.name[:60]}."
-    target.parent.mkdir(parents=True, exist_ok=True)
-    remove_abandoned(target.parent, prefix)
-    while True:
-        with (
-            tempfile.TemporaryDirectory(
-                dir=target.parent, prefix=prefix, suffix=".part", ignore_cleanup_errors=True
-            ) as folder,
-            _lock(Path(folder)) as locked,
-        ):
-            if locked:  # else another process removed it before it was locked
-                yield Path(folder)
-                return
-
-
-def remove_abandoned(folder: Path, prefix: str = ".") -> None:
-    """Remove the temporary folders that killed processes left in a folder."""
-    for path in folder.glob(f"{glob.escape(prefix)}*.part"):
-        with contextlib.suppress(OSError), _lock(path, unsupported=False) as locked:
-            if locked:
-                shutil.rmtree(path)
-
-
-@contextmanager
-def _lock(folder: Path, *, unsupported: bool = True) -> Iterator[bool]:
-    """Try to lock a folder until the block or the process ends; yield whether it is locked.
-
-    `unsupported` is what systems and network drives without locks yield.
-    """
-    if sys.platform == "win32":
-        yield unsupported
-        return
-    with contextlib.ExitStack() as stack:
-        try:
-            handle = os.open(folder, os.O_RDONLY)
-            stack.callback(os.close, handle)
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            locked = os.path.samestat(os.fstat(handle), folder.stat())
-        except (BlockingIOError, FileNotFoundError):
-            locked = False
-        except OSError:
-            locked = unsupported
-        yield locked
-
-
-def unfinished(folder: Path) -> bool:
-    """Tell whether a run into a folder of results is under way or was stopped."""
-    return os.path.exists(folder / UNFINISHED)
 
 
 @contextmanager
@@ -248,31 +200,53 @@ def results_folder(folder: Path | None) -> Iterator[None]:
         return
     check_writable(folder, folder=True)
     mark, new = folder / UNFINISHED, not folder.exists()
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with _lock(folder) as locked:
-            if not locked:
-                raise VergenceError(
-                    f"Another process is writing results into {folder}; wait for it, or name "
-                    "another folder."
-                )
-            try:
-                mark.write_text(
-                    f"The run that began at {time.strftime('%Y-%m-%d %H:%M:%S')} has not finished: "
-                    "files of this folder may be of different runs. A run that finishes removes "
-                    "this file.\n"
-                )
-                yield
+    with _writing(folder), _locked(folder):
+        _remove_temporary(folder)
+        try:
+            mark.write_text(
+                f"The run that began at {time.strftime('%Y-%m-%d %H:%M:%S')} has not finished: "
+                "files of this folder may be of different runs. A run that finishes removes this "
+                "file.\n"
+            )
+            yield
+            mark.unlink(missing_ok=True)
+        except BaseException:
+            _remove_temporary(folder)
+            if set(folder.iterdir()) <= {mark}:  # the folder holds no results
                 mark.unlink(missing_ok=True)
-            except BaseException:
-                remove_abandoned(folder)  # of processes that were ended with this one
-                if set(folder.iterdir()) <= {mark}:  # the folder holds no results
-                    mark.unlink(missing_ok=True)
-                    if new:
-                        folder.rmdir()
-                raise
-    except OSError as error:
-        raise VergenceError(f"Cannot write into the folder {folder}: {_reason(error)}.") from error
+                if new:
+                    folder.rmdir()
+            raise
+
+
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Create a folder and lock it; VergenceError if another process holds the lock."""
+    folder.mkdir(parents=True, exist_ok=True)
+    if sys.platform == "win32":
+        yield
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(handle)
+        raise VergenceError(
+            f"Another process is writing results into {folder}; wait for it, or name another "
+            "folder."
+        ) from None
+    except OSError:
+        pass  # a network drive without locks
+    try:
+        yield
+    finally:
+        os.close(handle)
+
+
+def _remove_temporary(folder: Path) -> None:
+    """Remove what killed processes were writing into a folder of results."""
+    for path in folder.glob(f".*{TEMPORARY}"):
+        shutil.rmtree(path, ignore_errors=True)
 
 
 def write_whole(path: Path, text: str) -> None:
@@ -309,20 +283,22 @@ def markdown_table(heading: str, rows: Iterable[Sequence[object]]) -> str:
 def check_new(folder: Path) -> None:
     """Raise VergenceError if a folder cannot be created, or exists and is not empty."""
     check_writable(folder, folder=True)
-    try:
-        empty = not folder.is_dir() or not any(folder.iterdir())
-    except OSError as error:
-        raise VergenceError(f"Cannot write the folder {folder}: {_reason(error)}.") from error
-    if not empty:
-        raise VergenceError(
-            f"{folder} already exists and is not empty; name another folder, or remove it."
-        )
+    with _writing(folder):
+        if folder.is_dir() and any(folder.iterdir()):
+            raise VergenceError(
+                f"{folder} already exists and is not empty; name another folder, or remove it."
+            )
 
 
 def check_writable(path: Path, *, folder: bool = False) -> Path:
     """Follow the links of a path to a file or folder; VergenceError if it cannot be written."""
     try:
         target = path.resolve()
+    except RuntimeError as error:
+        raise VergenceError(f"Cannot write {path}: {explain(error)}.") from error
+    except ValueError:
+        raise VergenceError(f"{str(path)!r} is not a possible file name.") from None
+    with _writing(path):
         if target.exists() and not (target.is_dir() if folder else target.is_file()):
             raise VergenceError(f"Cannot write {path}: it is {_kind(target)}.")
         parent = target if folder else target.parent
@@ -332,12 +308,4 @@ def check_writable(path: Path, *, folder: bool = False) -> Path:
             raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
         if not os.access(parent, os.W_OK | os.X_OK):
             raise PermissionError(errno.EACCES, f"no permission to write into {parent}")
-    except (OSError, RuntimeError) as error:  # RuntimeError: links in a circle
-        raise VergenceError(f"Cannot write {path}: {_reason(error)}.") from error
-    except ValueError:
-        raise VergenceError(f"{str(path)!r} is not a possible file name.") from None
     return target
-
-
-def _reason(error: Exception) -> str:
-    return getattr(error, "strerror", None) or explain(error)

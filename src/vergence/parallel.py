@@ -44,19 +44,12 @@ def run_tasks(
     jobs: int,
     progress: Progress = silent,
 ) -> None:
-    """Run tasks and pass on each result as soon as it is there.
+    """Run tasks, and pass each result to `finished` in the order of completion.
 
-    One job or a single task runs in this process. Otherwise tasks and results are pickled, and a
-    script needs `if __name__ == "__main__":`. An error or an interrupt ends all processes.
-
-    Args:
-        tasks: called with the progress that they report to.
-        finished: called with each result, in the order of completion.
-        jobs: number of processes; see `process_count`.
-        progress: receives the steps of all tasks.
-
-    Raises:
-        VergenceError: a process was killed. Errors of tasks are raised as they are.
+    Tasks report to the progress that they are called with. One job or a single task runs in this
+    process. Otherwise tasks and results are pickled, and a script needs
+    `if __name__ == "__main__":`. An error or an interrupt ends all processes; errors of tasks are
+    raised as they are, and VergenceError if a process was killed.
     """
     count = min(process_count(jobs), len(tasks))
     if count <= 1:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vergence.errors import VergenceError
-from vergence.files import finished_files, unfinished
+from vergence.files import UNFINISHED, finished_files
 
 if TYPE_CHECKING:
     from vergence.progress import Progress
@@ -85,7 +85,7 @@ def progress_bars(folder: Path | None = None) -> Iterator[Progress]:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-    if folder is not None and unfinished(folder):
+    if folder is not None and os.path.exists(folder / UNFINISHED):
         print(
             f"An earlier run into {folder} was stopped before its end: until this one has ended, "
             "files there may be of different runs.",

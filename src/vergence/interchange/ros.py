@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import Field
 
 from vergence.errors import VergenceError
-from vergence.files import UNFINISHED, results_folder, unfinished
+from vergence.files import UNFINISHED, results_folder
 from vergence.geometry.camera import Camera
 from vergence.geometry.head import MAX_CAMERAS, HeadCalibration
 from vergence.geometry.lens import CameraModel
@@ -76,7 +76,7 @@ def load(path: Path) -> dict[str, Camera]:
 
     VergenceError if there is no such file, it is not a camera_info, or two have one name.
     """
-    if unfinished(path):
+    if os.path.exists(path / UNFINISHED):
         raise VergenceError(
             f"The export into {path} was stopped before its end; repeat it, or remove {UNFINISHED}."
         )
