@@ -157,9 +157,9 @@ def test_bases_of_measured_poses_may_stand_anywhere(turned_rad: float):
     assert found.accuracy.void == ()
 
 
-def test_eye_poses_about_one_axis_are_refused_with_the_axis():
+def test_eye_poses_about_one_axis_are_refused():
     _, seen = recorded(2, how=replace(QUIET, reach_rad=(0.25, 0)))
-    words = r"rotation about and translation along \(-?0\.0.*1\.00\)"
+    words = "T_eye_cam is not observable: .* turns by 0.* turn it by at least .* about two axes"
     with pytest.raises(VergenceError, match=words):
         calibrate(as_poses(seen), lens=LENS)
 
