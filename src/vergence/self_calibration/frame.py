@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import chdtri
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
@@ -24,9 +23,9 @@ from vergence.self_calibration.prior import UNCALIBRATED, tolerance_covariance
 from vergence.self_calibration.residuals import epipolar_residuals, pair_coordinates
 from vergence.self_calibration.robust_fit import (
     FEWEST,
-    GATE,
     LINEAR_RAD,
     LinearisedResiduals,
+    passes_gate,
     robust_fit,
 )
 from vergence.self_calibration.state import Evidence, FilterState, FrameEstimate, frame_covariance
@@ -114,12 +113,12 @@ def estimate_from_matches(
     C, N, P = prior.covariance, len(prior.weights), len(state.names)
     if FEWEST > N:
         return prior
-    change, weights, evidence = _fit(state, prior, C, at_head=at_head)
+    weights, evidence = _fit(state, prior, C, at_head=at_head)
     if 2 * evidence.inliers < N:
         # Either most matches are wrong, or the head is far from its mean.
         wide = C.copy()
         wide[:P, :P] += tolerance_covariance(state.head, state.names, UNCALIBRATED)
-        _, wide_weights, wide_evidence = _fit(state, prior, wide)
+        wide_weights, wide_evidence = _fit(state, prior, wide)
         if wide_evidence.inliers > max(FEWEST, N / 2):
             return replace(
                 prior, status="contradiction", weights=wide_weights, evidence=wide_evidence
@@ -133,9 +132,7 @@ def estimate_from_matches(
         evidence=evidence,
         novelty=frame_novelty(state.revisits, posture),
     )
-    _, posterior_C = posterior(evidence.information, evidence.vector, C)
-    observed = float(np.trace(posterior_C @ evidence.information))
-    if float(change @ np.linalg.solve(C, change)) > chdtri(max(observed, 1.0), GATE):
+    if not passes_gate(evidence):
         return replace(prior, status="contradiction")
     change, posterior_C = posterior(*_discount_revisits(state, prior, evidence), C)
     head, joints = _changed(state, prior.joints, change)
@@ -144,13 +141,13 @@ def estimate_from_matches(
         head=head,
         joints=joints,
         covariance=posterior_C,
-        status="seen" if observed > _LEAST_DEGREES else "little seen",
+        status="seen" if evidence.degrees > _LEAST_DEGREES else "little seen",
     )
 
 
 def _fit(
     state: FilterState, prior: FrameEstimate, C: Array, *, at_head: bool = False
-) -> tuple[Array, Array, Evidence]:
+) -> tuple[Array, Evidence]:
     """Fit the matches with a prior covariance (K, K); see `robust_fit`."""
 
     P, matches = len(state.names), prior.matches

@@ -24,7 +24,6 @@ from vergence.self_calibration.match_noise import (
     update_revisits,
 )
 from vergence.self_calibration.prior import DRIFT, tolerance_covariance
-from vergence.self_calibration.robust_fit import GATE
 from vergence.self_calibration.state import (
     Evidence,
     FilterState,
@@ -33,6 +32,8 @@ from vergence.self_calibration.state import (
     frame_covariance,
 )
 
+_CONTRADICTED = 1e-7
+"""Tail probability from which the sum of all updates contradicts the prior."""
 _LEAST_LEARNED = 0.02
 """Least relative decrease of a variance that counts as learned; less is about the process noise."""
 
@@ -147,7 +148,7 @@ def contradicts_prior(state: FilterState) -> bool:
     learned = values < 1 - _LEAST_LEARNED
     moved = directions[:, learned].T @ (whiten @ change)
     distance = float((moved**2 / (1 - values[learned])).sum())
-    return distance > chdtri(max(float(learned.sum()), 1.0), GATE)
+    return distance > chdtri(max(float(learned.sum()), 1.0), _CONTRADICTED)
 
 
 def log_likelihood(state: FilterState, evidence: Evidence) -> float:

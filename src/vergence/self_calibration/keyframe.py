@@ -13,7 +13,6 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import block_diag
-from scipy.special import chdtri
 
 from vergence.arrays import Array
 from vergence.estimation.linear import posterior
@@ -28,9 +27,9 @@ from vergence.self_calibration.residuals import (
 )
 from vergence.self_calibration.robust_fit import (
     FEWEST,
-    GATE,
     INLIER,
     LinearisedResiduals,
+    passes_gate,
     robust_fit,
 )
 from vergence.self_calibration.state import (
@@ -168,11 +167,8 @@ def add_tracked(
             joints = start[P:] + C[P:, :P] @ np.linalg.solve(C[:P, :P], to_head - start[:P])
             start = np.concatenate([to_head, joints])
         fixed = 0 if at is None else P
-        change, weights, evidence = _fit(state, estimate, tracked, k, (start, C, fixed))
-        _, after = posterior(evidence.information, evidence.vector, C)
-        observed = float(np.trace(after @ evidence.information))
-        expected = float(change @ np.linalg.solve(C, change)) < chdtri(max(observed, 1.0), GATE)
-        if expected and 2 * evidence.inliers > len(weights):
+        weights, evidence = _fit(state, estimate, tracked, k, (start, C, fixed))
+        if passes_gate(evidence) and 2 * evidence.inliers > len(weights):
             added = evidence.information / inflation
             information = information + added
             vector = vector + evidence.vector / inflation + added @ start
@@ -185,8 +181,8 @@ def _fit(
     tracked: TrackedFeatures,
     k: int,
     prior: tuple[Array, Array, int],
-) -> tuple[Array, Array, Evidence]:
-    """Fit the features of camera k: change (K,) from the prior's mean, weights and measurement.
+) -> tuple[Array, Evidence]:
+    """Fit the features of camera k: weights, and the measurement about the prior's mean.
 
     The prior has a mean (K,), a covariance (K, K), and the number of leading unknowns that stay at
     the mean where residuals are linearised.
@@ -199,7 +195,7 @@ def _fit(
         y, A = found.residuals[rows], found.by_coordinates[rows]
         return replace(found, residuals=y, by_coordinates=A)
 
-    change, weights, evidence = robust_fit(
+    weights, evidence = robust_fit(
         linearise,
         np.asarray(block_diag(C, 1.0), float),
         pixels=np.tile(tracked.matches[k].left, (2, 1)),
@@ -212,7 +208,7 @@ def _fit(
     N, b = evidence.information / _MOTION_INFLATION, evidence.vector / _MOTION_INFLATION
     gain = N[:K, K] / (N[K, K] + 1)
     N, b = N[:K, :K] - np.outer(gain, N[K, :K]), b[:K] - gain * b[K]
-    return change[:K], weights, replace(evidence, information=N, vector=b)
+    return weights, replace(evidence, information=N, vector=b)
 
 
 def _whiten(

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from scipy.special import chdtri
 
 from vergence.arrays import Array
 from vergence.self_calibration.match_noise import (
@@ -35,7 +36,7 @@ INLIER = 0.3
 """Least weight of an inlier."""
 FEWEST = 12.0
 """Least number of inliers; fewer fit by chance."""
-GATE = 1e-7
+_GATE = 1e-7
 """Tail probability of the innovation gate."""
 LINEAR_RAD = 0.005
 """Error of a joint angle up to which residuals are linear: to 0.01 px at a focal length of 800."""
@@ -64,8 +65,8 @@ def robust_fit(
     prior_design_effect: float,
     fixed: int = 0,
     linear_range: Array | None = None,
-) -> tuple[Array, Array, Evidence]:
-    """Fit residuals with a prior; return the change (K,), weights (N,) and the measurement.
+) -> tuple[Array, Evidence]:
+    """Fit residuals with a prior; return weights (N,) and the measurement.
 
     Args:
         linearise: computes the residuals of some (n,) of the positions after a change (K,).
@@ -109,9 +110,16 @@ def robust_fit(
         design_effect=inflation,
         filled=filled,
         systematic=field / (noise + field),
+        distance=float(dual @ w),
+        degrees=len(S) - float(np.trace(np.linalg.inv(np.eye(len(S)) + N @ S))),
         misfit=misfit + float(2 * b @ w - w @ N @ w),
     )
-    return C @ (M.T @ dual), weights, evidence
+    return weights, evidence
+
+
+def passes_gate(evidence: Evidence) -> bool:
+    """Decide whether the innovation is plausible under the prior."""
+    return evidence.distance <= chdtri(max(evidence.degrees, 1.0), _GATE)
 
 
 def _best_hypothesis(y: Array, A: Array, S: Array) -> Array:
@@ -150,6 +158,6 @@ def _dual(N: Array, b: Array, S: Array) -> Array:
     """Solve normal equations with a prior covariance S (k, k) of the coordinates, maybe singular.
 
     The coordinates change by S times the dual (k,), and the K unknowns by their prior covariance
-    with the coordinates times it, which costs less than `linear.posterior` of the unknowns.
+    with the coordinates times it, which costs less than `linear.posterior`.
     """
     return np.asarray(np.linalg.solve(np.eye(len(S)) + N @ S, b), float)

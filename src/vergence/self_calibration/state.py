@@ -97,6 +97,10 @@ class Evidence:
     """Share of the image that inliers fill."""
     systematic: float
     """Share of the measurement's variance that is due to systematic lens errors."""
+    distance: float
+    """Squared Mahalanobis distance of the fit from its prior mean."""
+    degrees: float
+    """Degrees of freedom that the residuals determine better than the prior."""
     misfit: float
     """Minus twice the log likelihood of no change, up to a constant of the matches."""
 
