@@ -111,7 +111,7 @@ def marker_family(dictionary: str, marker_id: int = 0) -> cv2.aruco.Dictionary:
         marker_id: number of a marker that the family must have.
 
     Raises:
-        VergenceError: there is no such dictionary, or no such marker in it.
+        VergenceError: the dictionary, or the marker in it, is unknown.
     """
     if dictionary not in DICTIONARIES:
         raise VergenceError(

@@ -87,7 +87,7 @@ class HeadCalibration:
         )
 
     def camera(self, name: str) -> MountedCamera:
-        """Look up a camera by its name; VergenceError if there is none of that name."""
+        """Look up a camera by its name; VergenceError for an unknown name."""
         if name not in self.cameras:
             known = ", ".join(self.cameras)
             raise VergenceError(f"No camera is called {name!r}; this head has: {known}.")
