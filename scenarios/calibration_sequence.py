@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import tyro
 
-from vergence.cli.outputs import check_outputs
+from vergence.cli.options import check_outputs
 from vergence.cli.terminal import plain_ending
 from vergence.files import whole_file
 from vergence.geometry.head import save_head

@@ -343,9 +343,12 @@ def absent(tables: dict[str, str], document: str) -> list[str]:
     """Return the names of the tables that a document does not have, to 1 % and a unit of 0.01."""
     lines = document.split("\n")
 
+    def words(text: str) -> str:
+        return re.sub("[ -]+", " ", NUMBER.sub("", text))  # columns may be aligned
+
     def same(table: str, start: int) -> bool:
         found = "\n".join(lines[start : start + len(table.split("\n"))])
-        if NUMBER.sub("", found) != NUMBER.sub("", table):
+        if words(found) != words(table):
             return False
         ours, theirs = (np.array(NUMBER.findall(text), dtype=float) for text in (table, found))
         return np.allclose(ours, theirs, rtol=0.01, atol=0.011)

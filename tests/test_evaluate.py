@@ -79,12 +79,12 @@ def test_errors_are_counted_in_their_standard_deviations(head):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("head.json", "--truth", "ds"), "and ds is a folder: give ds/truth.json."),
+        (("head.json", "--truth", "ds"), "Cannot read ds: it is a folder"),
         (("truth.json", "--truth", "head.json"), "truth.json is not a head calibration"),
         (("ds", "--truth", "truth.json"), "Cannot read ds: it is a folder"),
     ],
 )
-def test_files_that_are_exchanged_or_folders_are_answered_with_what_to_give(
+def test_files_that_are_exchanged_or_folders_are_refused(
     head, words, said, tmp_path: Path, monkeypatch, capsys
 ):
     monkeypatch.chdir(tmp_path)

@@ -125,9 +125,9 @@ def test_a_recorded_dataset_has_dense_depth_and_no_stated_error(recorded, tmp_pa
     save_head(truth.head, tmp_path / "head.json")
     head, out = tmp_path / "head.json", tmp_path / "depth"
     done = depth(dataset.folder, out=out, calibration=head, pairs=2).data
-    assert done.pairs == 2
-    assert done.joints is None
-    assert 0.05 < done.textured < done.matched < 1
+    assert done["pairs"] == 2
+    assert done["joints"] is None
+    assert 0.05 < done["textured"] < done["matched"] < 1
     assert (tmp_path / "depth" / "depth.rrd").stat().st_size > 100_000
 
 

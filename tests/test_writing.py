@@ -13,7 +13,7 @@ import pytest
 from recordings import small_dataset
 from vergence import cli
 from vergence.calibration import calibrate
-from vergence.cli.outputs import check_outputs
+from vergence.cli.options import check_outputs
 from vergence.demos import depth, experiment
 from vergence.errors import VergenceError
 from vergence.files import (

@@ -275,9 +275,15 @@ def as_json(value: Any, digits: int = 17) -> str:
 
 
 def markdown_table(heading: str, rows: Iterable[Sequence[object]]) -> str:
-    """Format a table in markdown; vertical bars divide the cells of the heading."""
-    lines = [f"| {heading} |", "|" + "---|" * (heading.count("|") + 1)]
-    return "\n".join(lines + ["| " + " | ".join(map(str, row)) + " |" for row in rows])
+    """Format an aligned table in markdown; vertical bars divide the cells of the heading."""
+    cells = [[cell.strip() for cell in heading.split("|")], *([*map(str, row)] for row in rows)]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    lines = [
+        f"| {' | '.join(cell.ljust(w) for cell, w in zip(row, widths, strict=True))} |"
+        for row in cells
+    ]
+    lines.insert(1, f"|{'|'.join('-' * (width + 2) for width in widths)}|")
+    return "\n".join(lines)
 
 
 def check_new(folder: Path) -> None:

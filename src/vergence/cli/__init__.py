@@ -18,29 +18,19 @@ import tyro
 from vergence.cli.accuracy import budget, design, plan
 from vergence.cli.calibration import calibrate, evaluate, export, import_, self_calibrate
 from vergence.cli.experiments import depth, foveate, grasp, record, reproduce, track
-from vergence.cli.options import NUMBERS
 from vergence.cli.report import Report
 from vergence.cli.terminal import invocation, plain_ending
 from vergence.errors import VergenceError
 
 Command = Callable[..., Report]
+_COMMANDS: tuple[Command, ...] = (
+    reproduce, record, calibrate, self_calibrate, plan, design, evaluate, budget, export, import_,
+    foveate, track, grasp, depth,
+)  # fmt: skip
 COMMANDS: dict[str, Command] = {
-    "reproduce": reproduce,
-    "record": record,
-    "calibrate": calibrate,
-    "self-calibrate": self_calibrate,
-    "plan": plan,
-    "design": design,
-    "evaluate": evaluate,
-    "budget": budget,
-    "export": export,
-    "import": import_,
-    "foveate": foveate,
-    "track": track,
-    "grasp": grasp,
-    "depth": depth,
+    each.__name__.rstrip("_").replace("_", "-"): each for each in _COMMANDS
 }
-for _command in COMMANDS.values():
+for _command in _COMMANDS:
     # tyro would keep the line breaks in descriptions of options.
     _command.__doc__ = re.sub(r"\n {8}", " ", getdoc(_command) or "")
 
@@ -61,8 +51,8 @@ def main() -> None:
 
 
 def parsed(arguments: list[str]) -> Callable[[], Report]:
-    """Bind a command to its arguments. Raises VergenceError for wrong ones; --help exits."""
-    if not arguments or arguments[0].startswith("-"):
+    """Bind a command to its arguments, or exit after --help; VergenceError if they are wrong."""
+    if not arguments or arguments[0] not in COMMANDS:
         return _one_sentence(
             tyro.extras.subcommand_cli_from_dict,
             COMMANDS,
@@ -73,11 +63,6 @@ def parsed(arguments: list[str]) -> Callable[[], Report]:
         )
     name, *rest = arguments
     prog = invocation("vergence", name)
-    if name not in COMMANDS:
-        raise VergenceError(
-            f"There is no command {name!r}; there are {', '.join(COMMANDS)}. "
-            f"See {invocation('vergence', '--help')}."
-        )
     for before, argument in itertools.pairwise(arguments):
         if not argument or (argument.startswith("--") and argument.endswith("=")):
             raise VergenceError(
@@ -90,7 +75,7 @@ def parsed(arguments: list[str]) -> Callable[[], Report]:
     def bind(*values: Any, **options: Any) -> Callable[[], Report]:
         return partial(command, *values, **options)
 
-    return _one_sentence(tyro.cli, bind, prog=prog, args=rest, registry=NUMBERS)
+    return _one_sentence(tyro.cli, bind, prog=prog, args=rest)
 
 
 def _one_sentence(parse: Callable[..., Any], *arguments: Any, prog: str, **options: Any) -> Any:
@@ -102,7 +87,9 @@ def _one_sentence(parse: Callable[..., Any], *arguments: Any, prog: str, **optio
     except SystemExit as stop:
         if not stop.code:
             raise
-    text = re.split("Argument helptext|For full helptext", box.getvalue())[0]
+    # tyro's reason why a value is not parsed is in terms of Python; the option's help is clearer.
+    text = re.sub(r"(Error parsing \S+):.*?helptext:", r"\1; expected:", box.getvalue(), flags=re.S)
+    text = re.split("Argument helptext|For full helptext", text)[0]
     lines = [line.strip("│| ") for line in text.splitlines()[1:]]
     words = " ".join(line for line in lines if line.strip("─-╰╯+ "))
     raise VergenceError(f"{words.rstrip('.')}. See {prog} --help.")

@@ -3,18 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
+
+import tyro
 
 import vergence as vg
-from vergence.cli.options import (
-    OptionalBoard,
-    OptionalFloat,
-    OptionalFloats,
-    OptionalPath,
-    OptionalText,
-    Points,
-    Positional,
-)
-from vergence.cli.outputs import check_outputs
+from vergence.cli.options import Optional, Points, Positional, check_outputs
 from vergence.cli.report import Report
 from vergence.cli.terminal import progress_bars
 from vergence.files import results_folder
@@ -25,12 +19,14 @@ def plan(
     /,
     *,
     views: int = 10,
-    board: OptionalBoard = None,
+    board: Annotated[
+        Optional[tuple[int, int, float]], tyro.conf.arg(metavar="COLUMNS ROWS SQUARE_M")
+    ] = None,
     limits_deg: tuple[float, ...] = (20.0,),
     distances: tuple[float, ...] = (0.3, 0.6, 1.0),
     seed: int = 0,
-    figure: OptionalPath = None,
-    json: OptionalPath = None,
+    figure: Optional[Path] = None,
+    json: Optional[Path] = None,
 ) -> Report:
     """Say which views of the board to record next, and what accuracy they will bring.
 
@@ -74,22 +70,22 @@ def plan(
 
 
 def design(
-    settings: Positional[OptionalPath] = None,
+    settings: Positional[Optional[Path]] = None,
     /,
     *,
     out: Path = Path("runs/design"),
     accuracy_mm: float = 5.0,
     at_m: float = 0.5,
-    baseline_mm: OptionalFloats = None,
-    focal_px: OptionalFloats = None,
-    square_mm: OptionalFloats = None,
-    views: OptionalFloats = None,
-    counts_per_turn: OptionalFloats = None,
-    joint_noise_deg: OptionalFloats = None,
-    pixel_noise_px: OptionalFloats = None,
-    delay_ms: OptionalFloats = None,
+    baseline_mm: Optional[tuple[float, ...]] = None,
+    focal_px: Optional[tuple[float, ...]] = None,
+    square_mm: Optional[tuple[float, ...]] = None,
+    views: Optional[tuple[float, ...]] = None,
+    counts_per_turn: Optional[tuple[float, ...]] = None,
+    joint_noise_deg: Optional[tuple[float, ...]] = None,
+    pixel_noise_px: Optional[tuple[float, ...]] = None,
+    delay_ms: Optional[tuple[float, ...]] = None,
     jobs: int = -1,
-    cluster: OptionalText = None,
+    cluster: Optional[str] = None,
 ) -> Report:
     """Compare designs of a head, and find the cheapest that is as accurate as wanted.
 
@@ -114,10 +110,10 @@ def design(
     options = dict(locals())
     from vergence.accuracy.design_chunks import sweep
     from vergence.accuracy.design_settings import AXES, merged_settings
-    from vergence.cli.accuracy_reports import DESIGN_RESULTS, DESIGN_TITLE, write_design
+    from vergence.cli.accuracy_reports import DESIGN_RESULTS, write_design
     from vergence.parallel import process_count
 
-    check_outputs(folder=out, names=DESIGN_RESULTS, title=f"# {DESIGN_TITLE}", inputs=[settings])
+    check_outputs(folder=out, names=DESIGN_RESULTS, inputs=[settings])
     process_count(jobs)
     axes = {name: options[name] for name in AXES if options[name] is not None}
     chosen = merged_settings(settings, axes, at_m=at_m)
@@ -126,19 +122,15 @@ def design(
         return write_design(out, swept, accuracy_m=1e-3 * accuracy_mm, distance_m=at_m)
 
 
-AHEAD = ((0.5, -0.04, 0.0), (1.0, -0.04, 0.0))
-"""Points [m] in front of the twin's eyes, at 0.5 m and 1 m."""
-
-
 def budget(
     *,
-    calibration: OptionalPath = None,
-    profile: OptionalText = None,
+    calibration: Optional[Path] = None,
+    profile: Optional[str] = None,
     at: Points = (),
     motion: str = "divergent",
-    noise: OptionalFloat = None,
-    json: OptionalPath = None,
-    figure: OptionalPath = None,
+    noise: Optional[float] = None,
+    json: Optional[Path] = None,
+    figure: Optional[Path] = None,
 ) -> Report:
     """State what each source of errors adds to the error of a located point.
 
@@ -160,7 +152,7 @@ def budget(
     from vergence.cli.accuracy_reports import budget_report
 
     check_outputs(json, figure=figure, inputs=[motion, calibration, profile])
-    points = np.array(at or AHEAD)
+    points = np.array(at or ((0.5, -0.04, 0.0), (1.0, -0.04, 0.0)))
     # The twin needs OpenGL, and a real head does not.
     if calibration is None:
         from vergence.twin.model import nominal_head

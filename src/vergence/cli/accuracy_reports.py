@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from vergence.accuracy.budget import Budget
+from vergence.accuracy.budget import Budget, Part
 from vergence.accuracy.design_settings import AXES
 from vergence.accuracy.design_sweep import (
     SOURCES,
@@ -20,13 +21,12 @@ from vergence.accuracy.design_sweep import (
 )
 from vergence.accuracy.motion_budget import MotionBudgets
 from vergence.accuracy.plan import Plan
-from vergence.cli.report import Report, Table
-from vergence.files import REPORT, whole_file, write_whole
+from vergence.cli.report import Report
+from vergence.files import REPORT, markdown_table, whole_file, write_whole
 from vergence.geometry.board import corner_points
 from vergence.geometry.head import T_head_base
 from vergence.geometry.se3 import transform
 
-DESIGN_TITLE = "Design of a head"
 DESIGN_RESULTS = ("sweep.npz", "design.png", "properties.png", "design.json", REPORT)
 """Files in the folder of the results, in addition to the chunks."""
 FIRST_ORDER = 0.08
@@ -40,29 +40,24 @@ def plan_report(found: Plan) -> Report:
     centres = transform(T_head_target, corner_points(found.board).mean(axis=0))
     normals = -T_head_target[:, :3, 2]  # towards the head
     places = np.unique(views.placement, return_inverse=True)[1]
-    rows = []
-    for k, joints in enumerate(views.joints):
-        same = k > 0 and places[k] == places[k - 1]
-        rows.append(
-            (
-                str(k + 1),
-                "as before" if same else " ".join(f"{x:z.3f}" for x in centres[k]),
-                "" if same else " ".join(f"{x:z.2f}" for x in normals[k]),
-                " ".join(f"{angle:z.1f}" for angle in np.degrees(joints)),
-                f"{1e3 * found.steps_m[k]:.2f}",
-            )
+    rows = [
+        (
+            str(k + 1),
+            " ".join(f"{x:z.3f}" for x in centres[k]),
+            " ".join(f"{x:z.2f}" for x in normals[k]),
+            " ".join(f"{angle:z.1f}" for angle in np.degrees(joints)),
+            f"{1e3 * found.steps_m[k]:.2f}",
         )
+        for k, joints in enumerate(views.joints)
+    ]
     heading = (
-        "view",
-        "centre of the board x y z in the head [m]",
-        "its normal",
-        f"{', '.join(readings)} [deg]",
-        "largest std by then [mm]",
+        "view | centre of the board x y z in the head [m] | its normal | "
+        f"{', '.join(readings)} [deg] | largest std by then [mm]"
     )
-    before, after = 1e3 * found.before_m.max(), 1e3 * found.after_m.max()
     sentences = (
-        f"Largest standard deviation of a point by the calibration: {before:.2f} mm now, "
-        f"{after:.2f} mm after these views (predicted).\n"
+        "Largest standard deviation of a point by the calibration: "
+        f"{1e3 * found.before_m.max():.2f} mm now, {1e3 * found.after_m.max():.2f} mm after these "
+        "views (predicted).\n"
         "A place of the board need not be met exactly: calibrate with what was recorded."
     )
     data = {
@@ -82,14 +77,14 @@ def plan_report(found: Plan) -> Report:
         "std_before_m": found.before_m.tolist(),
         "std_after_m": found.after_m.tolist(),
     }
-    return Report("Views to record next", (Table(heading, rows), sentences), data)
+    return Report("Views to record next", (markdown_table(heading, rows), sentences), data)
 
 
 def write_design(out: Path, swept: Sweep, *, accuracy_m: float, distance_m: float) -> Report:
     """Write the results of a sweep into a folder, and report the cheapest accurate designs."""
     places = cheapest(swept, accuracy_m, distance_m)
     shown = places[0] if places else most_accurate(swept, distance_m)
-    report = design_report(swept, places, shown, accuracy_m=accuracy_m, distance_m=distance_m)
+    report = design_report(swept, places or [shown], accuracy_m=accuracy_m, distance_m=distance_m)
     arrays = {name: np.array(getattr(swept.settings.designs, name)) for name in AXES}
     arrays |= {"worst_m": swept.worst_m, "mean_m": swept.mean_m, "cost": swept.cost}
     arrays["distances_m"] = np.array(swept.settings.workspace.distances_m)
@@ -105,32 +100,26 @@ def write_design(out: Path, swept: Sweep, *, accuracy_m: float, distance_m: floa
 
 
 def design_report(
-    swept: Sweep,
-    places: list[tuple[int, ...]],
-    shown: tuple[int, ...],
-    *,
-    accuracy_m: float,
-    distance_m: float,
+    swept: Sweep, places: list[tuple[int, ...]], *, accuracy_m: float, distance_m: float
 ) -> Report:
-    """Report the designs at `places`, and the sources of error of the one that is shown."""
-    worst = at_distance(swept, distance_m)
-
-    def described(place: tuple[int, ...]) -> dict[str, float]:
-        costs = {"cost": float(swept.cost[place]), "worst_mm": float(1e3 * worst[place])}
-        return {**values_of(swept.settings, place), **costs}
-
-    designs = [described(place) for place in places]
-    first, count = described(shown), int((worst <= accuracy_m).sum())
+    """Report the designs at `places`, and the sources of error of the first."""
+    worst, settings = at_distance(swept, distance_m), swept.settings
+    designs = [
+        values_of(settings, place)
+        | {"cost": float(swept.cost[place]), "worst_mm": float(1e3 * worst[place])}
+        for place in places
+    ]
+    first, count = designs[0], int((worst <= accuracy_m).sum())
     ahead = np.array([[distance_m, 0.0, 0.0]])
-    squares = by_source(swept.settings, values_of(swept.settings, shown), ahead)[:, 0]
+    squares = by_source(settings, values_of(settings, places[0]), ahead)[:, 0]
     data: dict[str, Any] = {
         "wanted": {"accuracy_mm": 1e3 * accuracy_m, "at_m": distance_m},
         "designs": int(swept.cost.size),
         "accurate_enough": count,
-        "cheapest": designs,
+        "cheapest": designs if count else [],
         "shown": first,
         "ahead_std_mm": dict(zip(SOURCES, (1e3 * np.sqrt(squares)).tolist(), strict=True)),
-        "settings": swept.settings.model_dump(),
+        "settings": settings.model_dump(),
     }
     aim = f"{1e3 * accuracy_m:g} mm at {distance_m:g} m"
     values = ", ".join(f"{name} {first[name]:g}" for name in AXES)
@@ -142,42 +131,39 @@ def design_report(
         else f"None of {swept.cost.size:,} designs reaches {aim}; the most accurate one has "
         f"{reached}\nSweep wider baselines, longer lenses, finer encoders or more views."
     )
-    heading = [name.replace("_", " ") for name in (*AXES, "cost", "worst_mm")]
-    rows = [
-        [*(f"{each[name]:g}" for name in (*AXES, "cost")), f"{each['worst_mm']:.2f}"]
-        for each in designs or [first]
-    ]
     details = (
-        Table(heading, rows),
+        markdown_table(
+            " | ".join(first).replace("_", " "),
+            [[f"{value:.5g}" for value in each.values()] for each in designs],
+        ),
         "Root mean square error of a point straight ahead that both eyes fixate, by source, for "
         "the first of these heads:",
-        Table(("source", "mm"), [(k, f"{v:.3f}") for k, v in data["ahead_std_mm"].items()]),
+        markdown_table("source | mm", [(k, f"{v:.3f}") for k, v in data["ahead_std_mm"].items()]),
         "![the design](design.png)",
         "![one property at a time](properties.png)",
     )
-    return Report(DESIGN_TITLE, (sentence,), data, details=details)
+    return Report("Design of a head", (sentence,), data, details=details)
 
 
-BUDGET_HEADING = ("source", "x", "y", "z", "x, parallel", "shared")
+BUDGET_HEADING = "source | x | y | z | x, parallel | shared"
 """Standard deviations [mm]: of what differs between samples, in x, y and z; of the same in x in
 parallel motion; of what all samples share, in x, y and z."""
 
 
 def budget_report(found: MotionBudgets) -> Report:
     """Report the budgets of points: a table and a sentence of advice for each."""
-    parts: list[str | Table] = []
+    parts: list[str] = []
     for k, one in enumerate(found.budgets):
         x, y, z = one.point_m
         parts += [
             f"({x:g}, {y:g}, {z:g}) m, {found.motion} motion: 1 std [mm]",
-            Table(BUDGET_HEADING, budget_rows(found, k)),
+            markdown_table(BUDGET_HEADING, budget_rows(found, k)),
             advice(one),
         ]
-    parallel = None if found.parallel is None else [_plain(one) for one in found.parallel]
     data = {
         "motion": found.motion,
-        "points": [_plain(one) for one in found.budgets],
-        "in_parallel_motion": parallel,
+        "points": list(map(_plain, found.budgets)),
+        "in_parallel_motion": found.parallel and list(map(_plain, found.parallel)),
     }
     return Report("Error budget", parts, data)
 
@@ -188,20 +174,18 @@ def budget_rows(found: MotionBudgets, k: int) -> list[tuple[str, ...]]:
     def mm(value: float) -> str:
         return f"{1e3 * value:z.2f}"
 
-    one = found.budgets[k]
-    sources = *one.parts, one.total
-    parallel = [""] * len(sources)
-    if found.parallel is not None:
-        other = found.parallel[k]
-        parallel = [mm(part.spread_m[0]) for part in (*other.parts, other.total)]
+    def sources(budgets: list[Budget]) -> list[Part]:
+        return [*budgets[k].parts, budgets[k].total]
+
+    parallel = sources(found.parallel) if found.parallel else ()
     return [
         (
-            source.name,
-            *map(mm, source.spread_m),
-            in_parallel,
-            " ".join(map(mm, source.shared_m)) if source.shared_m.any() else "",
+            part.name,
+            *map(mm, part.spread_m),
+            mm(other.spread_m[0]) if other else "",
+            " ".join(map(mm, part.shared_m)) if part.shared_m.any() else "",
         )
-        for source, in_parallel in zip(sources, parallel, strict=True)
+        for part, other in zip_longest(sources(found.budgets), parallel)
     ]
 
 

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
 import vergence as vg
-from vergence.cli.options import OptionalPath, Positional
-from vergence.cli.outputs import check_outputs
+from vergence.cli.options import Optional, Positional, check_outputs
 from vergence.cli.report import Report
 from vergence.cli.terminal import invocation, progress_bars
 from vergence.errors import VergenceError, listed
 from vergence.files import results_folder
+
+Lens = Literal[
+    "auto", "none", "k1", "k1k2", "radial-tangential", "radial-tangential-k3", "rational", "fisheye"
+]
+"""A lens model, as `calibration.calibrate` names them."""
 
 
 def calibrate(
@@ -21,19 +24,10 @@ def calibrate(
     /,
     *,
     out: Path,
-    report: OptionalPath = None,
+    report: Optional[Path] = None,
     method: Literal["bundle", "paper"] = "bundle",
-    lens: Literal[
-        "auto",
-        "none",
-        "k1",
-        "k1k2",
-        "radial-tangential",
-        "radial-tangential-k3",
-        "rational",
-        "fisheye",
-    ] = "auto",
-    json: OptionalPath = None,
+    lens: Lens = "auto",
+    json: Optional[Path] = None,
 ) -> Report:
     """Calibrate a head from a dataset, and state the accuracy.
 
@@ -50,15 +44,12 @@ def calibrate(
     from vergence.calibration.calibrate import calibrate as calibrate_dataset
     from vergence.cli.calibration_report import (
         RESULTS,
-        TITLE,
         calibration_report,
         write_calibration_report,
     )
 
     void_out = out.with_name(f"{out.stem}.void{out.suffix}")
-    check_outputs(
-        out, void_out, json, folder=report, names=RESULTS, title=f"# {TITLE}", inputs=[dataset]
-    )
+    check_outputs(out, void_out, json, folder=report, names=RESULTS, inputs=[dataset])
     data = vg.load_dataset(dataset)
     with progress_bars(report) as progress, results_folder(report):
         result = calibrate_dataset(data, method=method, lens=lens, progress=progress)
@@ -82,7 +73,7 @@ def self_calibrate(
     *,
     calibration: Path,
     out: Path,
-    json: OptionalPath = None,
+    json: Optional[Path] = None,
     changed: Literal["nothing", "little", "anything"] = "little",
 ) -> Report:
     """Correct a calibration by what both eyes see of the scene, without a board.
@@ -109,7 +100,9 @@ def self_calibrate(
     return replace(report, files=f"Wrote {out}.")
 
 
-def evaluate(calibration: Positional[Path], /, *, truth: Path, json: OptionalPath = None) -> Report:
+def evaluate(
+    calibration: Positional[Path], /, *, truth: Path, json: Optional[Path] = None
+) -> Report:
     """Compare a calibration with the ground truth of a dataset from the twin.
 
     Args:
@@ -122,11 +115,6 @@ def evaluate(calibration: Positional[Path], /, *, truth: Path, json: OptionalPat
     from vergence.twin.truth import load
 
     check_outputs(json, inputs=[calibration, truth])
-    if os.path.isdir(truth):
-        raise VergenceError(
-            f"--truth is a file that `vergence record` writes into a dataset, and {truth} is a "
-            f"folder: give {truth / 'truth.json'}."
-        )
     report = evaluation_report(compare(vg.load_head(calibration, allow_void=True), load(truth)))
     report.write_json(json)
     return report
@@ -163,7 +151,7 @@ def import_(
     *,
     format: Literal["kalibr", "ros", "opencv"],
     out: Path,
-    start: OptionalPath = None,
+    start: Optional[Path] = None,
 ) -> Report:
     """Make a calibration from another program's files.
 

@@ -10,9 +10,9 @@ import numpy as np
 from vergence.calibration.calibrate import CalibrationResult
 from vergence.calibration.lens_map import lens_maps
 from vergence.calibration.summary import point_accuracy, verdict
-from vergence.cli.report import Part, Report, Table
+from vergence.cli.report import Report
 from vergence.data.dataset import Dataset
-from vergence.files import REPORT, write_whole
+from vergence.files import REPORT, markdown_table, write_whole
 from vergence.geometry.head import main_pair
 from vergence.geometry.kinematics import EYES, pan_tilt_along
 from vergence.geometry.parameters import parameter_values
@@ -21,14 +21,13 @@ from vergence.progress import Progress, silent
 from vergence.viewer.dataset import record_dataset, rms_by_view
 from vergence.viewer.plots import calibration as plots
 
-TITLE = "Calibration"
 RESULTS = (
     REPORT, "dataset.rrd", "coverage.png", "residuals.png", "lenses.png", "worst_views.png"
 )  # fmt: skip
 """Files of a report. The paper's method makes only the first three."""
 MARKS = {"void": "VOID: ", "warning": "Warning: ", "note": ""}
-FINDINGS_LISTED, VIEWS_SHOWN, VIEWS_LISTED = 30, 4, 10
-"""Largest numbers of findings, and of worst views, in report.md; the JSON file has all findings."""
+WORST_VIEWS = 6
+"""Number of the worst views in report.md."""
 
 
 def calibration_report(result: CalibrationResult) -> Report:
@@ -59,7 +58,7 @@ def calibration_report(result: CalibrationResult) -> Report:
         "std": _stds(result),
         "findings": result.findings,
     }
-    return Report(TITLE, (result.summary(),), data)
+    return Report("Calibration", (result.summary(),), data)
 
 
 def write_calibration_report(
@@ -76,14 +75,12 @@ def write_calibration_report(
     """
     progress("writing the report", 0, len(dataset))
     worst = _worst_views(result)
-    pictures = _save_pictures(folder, result, dataset, worst[:VIEWS_SHOWN])
-    rows = [
-        (f"line {dataset.lines[row]}", name, f"{size:.3f}")
-        for size, name, row in worst[:VIEWS_LISTED]
-    ]
+    pictures = _save_pictures(folder, result, dataset, worst)
+    rows = [(f"line {dataset.lines[row]}", name, f"{size:.3f}") for size, name, row in worst]
+    findings = "\n".join(f"- {MARKS[each.severity]}{each}" for each in result.findings)
     details = [
         "## Findings",
-        _findings(result),
+        findings or "None.",
         "## Accuracy of points",
         *_points(result),
         "## Lenses",
@@ -93,7 +90,7 @@ def write_calibration_report(
         "## Images",
         "All of them, with corners and residuals: `rerun dataset.rrd`",
         *(f"![{name}]({name}.png)" for name in pictures),
-        *([Table(("worst views", "camera", "residual [px]"), rows)] if rows else []),
+        *([markdown_table("worst views | camera | residual [px]", rows)] if rows else []),
     ]
     summary = result.summary().replace("\n", "  \n")
     text = replace(report, parts=(summary,), details=details).markdown()
@@ -102,7 +99,7 @@ def write_calibration_report(
 
 
 def _worst_views(result: CalibrationResult) -> list[tuple[float, str, int]]:
-    """Sort views by their residual (root mean square, px), the worst first, with camera and row."""
+    """Find the views with the largest residuals (root mean square, px), with camera and row."""
     residuals = {} if result.estimate is None else result.estimate.residuals_px
     found = [
         (float(size), name, row)
@@ -110,7 +107,7 @@ def _worst_views(result: CalibrationResult) -> list[tuple[float, str, int]]:
         for row, size in enumerate(rms_by_view(errors))
         if np.isfinite(size)
     ]
-    return sorted(found, reverse=True)
+    return sorted(found, reverse=True)[:WORST_VIEWS]
 
 
 def _save_pictures(
@@ -122,8 +119,8 @@ def _save_pictures(
     """Draw the pictures of a report, and return the names of those in its last section."""
     seen, head = result.observations, result.head
     looking = np.moveaxis(seen.eye_poses()[..., :3, 0], -1, 0)  # an eye's x axis is ahead
-    pan_tilt = np.stack(pan_tilt_along(*looking), axis=-1)
-    angles = dict(zip(EYES, np.moveaxis(pan_tilt, 1, 0), strict=True))
+    pan, tilt = pan_tilt_along(*looking)
+    angles = {eye: np.stack([pan[:, k], tilt[:, k]], axis=-1) for k, eye in enumerate(EYES)}
     eyes = {eye: angles[eye] for eye in dataset.description.eyes}
     plots.save_coverage(folder / "coverage.png", seen.corners, seen.sizes, eyes)
     if result.estimate is None:
@@ -143,25 +140,18 @@ def _save_pictures(
     return ["coverage", "residuals", "worst_views"]
 
 
-def _findings(result: CalibrationResult) -> str:
-    lines = [f"- {MARKS[each.severity]}{each}" for each in result.findings[:FINDINGS_LISTED]]
-    if (more := len(result.findings) - FINDINGS_LISTED) > 0:
-        lines.append(f"- and {more} more, all in the JSON file")
-    return "\n".join(lines) or "None."
-
-
-def _points(result: CalibrationResult) -> list[Part]:
+def _points(result: CalibrationResult) -> list[str]:
     rows = [(f"{d:g}", f"{a:.2f}", f"{b:.2f}") for d, a, b in point_accuracy(result.head)]
     if not rows:
         return [
             "Not stated: it needs bundle adjustment, joint readings, and two eyes that see points "
             "from 0.3 to 1 m."
         ]
-    parts: list[Part] = [
+    parts: list[str] = [
         "Standard deviation of a point ahead that the main cameras locate, averaged over "
         "directions of gaze up to 0.2 rad aside. The calibration adds the same error to every "
         "reading at these angles; the noise of joints and pixels differs from reading to reading.",
-        Table(("distance [m]", "calibration [mm]", "reading [mm]"), rows),
+        markdown_table("distance [m] | calibration [mm] | reading [mm]", rows),
     ]
     checked = result.accuracy.held_out
     if checked is not None and checked.jackknife_ratio is not None:
@@ -170,7 +160,7 @@ def _points(result: CalibrationResult) -> list[Part]:
     return parts
 
 
-def _lenses(result: CalibrationResult) -> list[Part]:
+def _lenses(result: CalibrationResult) -> list[str]:
     rows = []
     for name, choice in result.lenses.items():
         error, other = choice.held_out_px.get(choice.model), choice.runner_up
@@ -183,12 +173,12 @@ def _lenses(result: CalibrationResult) -> list[Part]:
         "predicts held-out views as well is preferred. Models are not compared with the paper's "
         "method, where a model was stated, or below ten views of the board. Errors are rms values "
         "of one coordinate of a corner in held-out views.",
-        Table(("camera", "lens model", "held out [px]", "runner-up, held out [px]"), rows),
+        markdown_table("camera | lens model | held out [px] | runner-up, held out [px]", rows),
         *picture,
     ]
 
 
-def _parameters(result: CalibrationResult) -> list[Part]:
+def _parameters(result: CalibrationResult) -> list[str]:
     """Tabulate the estimated parameters and the poses."""
     head, stds = result.head, _stds(result)
     parameters = [
@@ -210,8 +200,8 @@ def _parameters(result: CalibrationResult) -> list[Part]:
     return [
         "Estimated parameters: angles in radians, lengths in metres, focal lengths and centres in "
         "pixels, time in seconds.",
-        Table(("parameter", "value", "std"), parameters),
-        Table(("pose", "translation x y z [mm]", "rotation vector x y z [deg]"), poses),
+        markdown_table("parameter | value | std", parameters),
+        markdown_table("pose | translation x y z [mm] | rotation vector x y z [deg]", poses),
     ]
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from vergence.cli.report import Report, Table
+from vergence.cli.report import Report
+from vergence.files import markdown_table
 from vergence.self_calibration.recorded import OBSERVED, SelfCalibrationResult
 from vergence.twin.evaluation import Evaluation
 
@@ -24,8 +25,8 @@ def evaluation_report(found: Evaluation) -> Report:
         for name, e in found.cameras.items()
     ]
     base = f"{found.base_rotation_deg:.4f}", f"{found.base_translation_mm:.3f}"
-    heading = ("error", "rotation [deg]", "translation [mm]", "focal [%]")
-    parts: list[str | Table] = [Table(heading, [*rows, ("T_rbase_lbase", *base, "")])]
+    heading = "error | rotation [deg] | translation [mm] | focal [%]"
+    parts: list[str] = [markdown_table(heading, [*rows, ("T_rbase_lbase", *base, "")])]
     if found.regions:
         outside = [name for name, region in found.regions.items() if not region.holds_truth]
         inside = len(found.regions) - len(outside)
@@ -47,8 +48,8 @@ def self_calibration_report(found: SelfCalibrationResult) -> Report:
             change = f"{scale * each.change:+.3g} {unit}".rstrip()
             stds = (f"{scale * each.prior_std:.3g}", f"{scale * each.std:.3g}")
             rows.append((each.name, change, *stds, each.verdict))
-    heading = ("parameter", "change", "std before", "std after", "")
-    table = (Table(heading, rows),) if rows else ()
+    heading = "parameter | change | std before | std after |"
+    table = (markdown_table(heading, rows),) if rows else ()
     data = {
         "frames": found.frames,
         "seen": found.seen,

@@ -5,25 +5,24 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
-
-import tyro
+from typing import TYPE_CHECKING, Any, Literal
 
 import vergence as vg
 from vergence.cli.options import (
+    EXPERIMENT,
+    IDEAL,
+    PAPER,
+    ExperimentArguments,
+    ExperimentOptions,
     Flag,
     Geometry,
-    OptionalFloat,
-    OptionalInt,
-    OptionalPath,
-    OptionalScene,
-    OptionalText,
+    Optional,
     Positional,
-    Scene,
+    TwinArguments,
+    check_outputs,
 )
-from vergence.cli.outputs import check_outputs
 from vergence.cli.report import Report
 from vergence.cli.terminal import invocation, progress_bars
 from vergence.errors import VergenceError
@@ -38,11 +37,9 @@ def reproduce(
     *,
     out: Path = Path("runs/paper"),
     figures: tuple[int, ...] = (6, 7, 8, 9, 10, 11),
-    profile: str = "paper",
-    scene: Scene = "room",
-    seed: int = 0,
-    duration: OptionalFloat = None,
-    rate: OptionalFloat = None,
+    options: TwinArguments = PAPER,
+    duration: Optional[float] = None,
+    rate: Optional[float] = None,
     method: Literal["paper", "self-calibrated"] = "paper",
     compare: Flag = False,
     floor: Flag = False,
@@ -53,9 +50,7 @@ def reproduce(
     Args:
         out: Folder for recordings, plots, report and statistics.
         figures: Numbers of the figures.
-        profile: Error profile: ideal, paper, noise-only, or a TOML file.
-        scene: What the head looks at.
-        seed: Seed of everything random.
+        options: Options of the twin.
         duration: Length of each figure [s]; default: its full combined period, at least 60 s.
         rate: Samples per second [Hz]; default: 640 samples per figure.
         method: Method whose positions are plotted: by the joint readings as in the paper, or by the
@@ -64,7 +59,6 @@ def reproduce(
         floor: Compare also with self-calibration that is given the true head.
         jobs: Processes on this machine; -1: one for each core.
     """
-    from vergence.paper.report import TITLE
     from vergence.paper.reproduce import RESULTS, ReproductionSettings
     from vergence.paper.reproduce import reproduce as replay_figures
     from vergence.parallel import process_count
@@ -73,9 +67,9 @@ def reproduce(
     settings = ReproductionSettings(
         out,
         figures,
-        load_profile(profile),
-        seed=seed,
-        scene=scene,
+        load_profile(options.profile),
+        seed=options.seed,
+        scene=options.scene,
         duration_s=duration,
         rate_hz=rate,
         method=method,
@@ -83,7 +77,7 @@ def reproduce(
         floor=floor,
     )
     process_count(jobs)
-    check_outputs(folder=out, names=RESULTS, title=TITLE)
+    check_outputs(folder=out, names=RESULTS)
     with progress_bars(out) as progress:
         done = replay_figures(settings, jobs=jobs, progress=progress)
     recordings = [f"fig{number:02d}.rrd" for number in sorted(done.replays)]
@@ -97,22 +91,18 @@ def reproduce(
 def record(
     *,
     out: Path,
-    profile: str = "ideal",
-    scene: Scene = "room",
-    seed: int = 0,
+    options: TwinArguments = IDEAL,
     frames: int = 60,
     lens: Literal["2.8mm", "4.0mm"] = "2.8mm",
     target: Literal["chessboard", "charuco"] = "chessboard",
     moving: int = 0,
-    kinematics: OptionalPath = None,
+    kinematics: Optional[Path] = None,
 ) -> Report:
     """Record a dataset on the twin, with its ground truth in truth.json.
 
     Args:
         out: Folder, new or empty.
-        profile: Error profile: ideal, paper, noise-only, or a TOML file.
-        scene: What the head looks at.
-        seed: Seed of everything random.
+        options: Options of the twin.
         frames: Number of frames with the eyes at rest, 12 or more.
         lens: Focal length of the wide cameras.
         target: Kind of calibration board.
@@ -127,9 +117,9 @@ def record(
     with progress_bars() as progress:
         images = record_dataset(
             out,
-            profile=load_profile(profile),
-            scene=scene,
-            seed=seed,
+            profile=load_profile(options.profile),
+            scene=options.scene,
+            seed=options.seed,
             frames=frames,
             lens=lens,
             target=target,
@@ -145,31 +135,7 @@ def record(
     return Report("Dataset", (), None, files=files)
 
 
-@dataclass(frozen=True)
-class ExperimentOptions:
-    """Options that foveate, track and grasp have in common."""
-
-    seed: int = 0
-    """Seed of everything random."""
-    profile: str = "ideal"
-    """Error profile: ideal, paper, noise-only, or a TOML file."""
-    scene: Scene = "room"
-    """What the head looks at."""
-    geometry: Geometry = "joints"
-    """Locate objects by the joint readings, or by these as corrected by what both eyes see."""
-    out: OptionalPath = None
-    """Folder for the summary as JSON and a recording; left out: the summary is only printed."""
-    json: OptionalPath = None
-    """JSON file of the summary."""
-
-
-Options = Annotated[ExperimentOptions, tyro.conf.arg(name="")]
-DEFAULT = ExperimentOptions()
-PRINTED_DIGITS = 4
-"""Significant digits of a printed summary; files have all digits."""
-
-
-def foveate(*, trials: int = 100, options: Options = DEFAULT) -> Report:
+def foveate(*, trials: int = 100, options: ExperimentArguments = EXPERIMENT) -> Report:
     """Show objects, and turn both eyes until the narrow images are centred on them.
 
     Args:
@@ -181,7 +147,7 @@ def foveate(*, trials: int = 100, options: Options = DEFAULT) -> Report:
     return _experiment("foveate", lambda *of: run(*of, trials=trials)[0], options, "depth.png")
 
 
-def track(*, seconds: float = 60.0, options: Options = DEFAULT) -> Report:
+def track(*, seconds: float = 60.0, options: ExperimentArguments = EXPERIMENT) -> Report:
     """Track a moving object, which is hidden once, with both narrow cameras.
 
     Args:
@@ -193,7 +159,7 @@ def track(*, seconds: float = 60.0, options: Options = DEFAULT) -> Report:
     return _experiment("track", lambda *of: run(*of, seconds=seconds), options)
 
 
-def grasp(*, trials: int = 10, options: Options = DEFAULT) -> Report:
+def grasp(*, trials: int = 10, options: ExperimentArguments = EXPERIMENT) -> Report:
     """Grasp objects that are held out to the robot, guided by what the eyes see of the hand.
 
     Args:
@@ -205,19 +171,14 @@ def grasp(*, trials: int = 10, options: Options = DEFAULT) -> Report:
     return _experiment("grasp", lambda *of: run(*of, trials=trials)[0], options)
 
 
-MOST_PAIRS = 1000
-
-
 def depth(
-    dataset: Positional[OptionalPath] = None,
+    dataset: Positional[Optional[Path]] = None,
     /,
     *,
     out: Path,
     twin: Flag = False,
-    calibration: OptionalPath = None,
-    profile: OptionalText = None,
-    scene: OptionalScene = None,
-    seed: OptionalInt = None,
+    calibration: Optional[Path] = None,
+    options: TwinArguments = PAPER,
     pairs: int = 20,
     geometry: Geometry = "joints",
 ) -> Report:
@@ -228,27 +189,24 @@ def depth(
         out: Folder for depth.rrd, depth.json and report.md.
         twin: Use the twin, with its eyes in divergent motion, and state the error of the depth.
         calibration: JSON file that `vergence calibrate` wrote; the twin can do without.
-        profile: Error profile of the twin: ideal, paper (default), noise-only, or a TOML file.
-        scene: Scene that the twin looks at; default: room.
-        seed: Seed of everything random on the twin; default: 0.
+        options: Options of the twin.
         pairs: Number of pairs; from a dataset, at most this many.
         geometry: Rectify by the joint readings, or by these as corrected by what both eyes see.
     """
     if twin == (dataset is not None):
         found = "both" if twin else "neither"
         raise VergenceError(f"Depth is of a dataset or, with --twin, of the twin; found {found}.")
-    for name, value in (("profile", profile), ("scene", scene), ("seed", seed)):
-        if value is not None and not twin:
-            raise VergenceError(f"--{name} is of the twin; found it with a dataset.")
+    if options != PAPER and not twin:
+        raise VergenceError("--profile, --scene and --seed are of the twin; found a dataset.")
     if dataset is not None and calibration is None:
         raise VergenceError(
             "Depth of a dataset needs --calibration FILE, which `vergence calibrate` makes of it."
         )
-    if not 1 <= pairs <= MOST_PAIRS:
-        raise VergenceError(f"Asked for {pairs} pairs; from 1 to {MOST_PAIRS} can be made.")
-    from vergence.cli.depth_report import RESULTS, TITLE, write_depth
+    if not 1 <= pairs <= 1000:
+        raise VergenceError(f"Asked for {pairs} pairs; from 1 to 1000 can be made.")
+    from vergence.cli.depth_report import RESULTS, write_depth
 
-    check_outputs(folder=out, names=RESULTS, title=f"# {TITLE}", inputs=[calibration])
+    check_outputs(folder=out, names=RESULTS, inputs=[calibration])
     head = vg.load_head(calibration) if calibration else None
     with progress_bars(out) as progress, results_folder(out):
         if dataset is not None and head is not None:
@@ -261,9 +219,9 @@ def depth(
 
             source = twin_depth(
                 head,
-                profile=load_profile(profile or "paper"),
-                scene=scene or "room",
-                seed=seed or 0,
+                profile=load_profile(options.profile),
+                scene=options.scene,
+                seed=options.seed,
                 pairs=pairs,
                 geometry=geometry,
                 progress=progress,
@@ -290,7 +248,7 @@ def _experiment(
     settings = Experiment(profile, options.seed, options.scene, options.geometry, options.out)
     with progress_bars(options.out) as progress:
         found = run(settings, progress)
-    report = Report(name, (as_json(found, PRINTED_DIGITS).rstrip(),), found)
+    report = Report(name, (as_json(found, digits=4).rstrip(),), found)
     report.write_json(options.json)
     if options.out is not None:
         typed = invocation("rerun", options.out / f"{name}.rrd")

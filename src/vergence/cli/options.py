@@ -1,69 +1,99 @@
-"""Types of options, as `vergence COMMAND --help` shows them, and how numbers are parsed."""
+"""Options that commands share, and the check of the files that options name."""
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
-from types import NoneType
-from typing import Annotated, Any, Literal, get_args, get_origin
+from typing import Annotated, Literal, TypeVar
 
 import tyro
-from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
-_ABSENT = tyro.conf.arg(help_behavior_hint="")
-"""For an option whose description states what its absence means."""
+from vergence.errors import VergenceError
+from vergence.files import REPORT, UNFINISHED, check_writable
 
+T = TypeVar("T")
+
+Optional = Annotated[T | None, tyro.conf.arg(help_behavior_hint="")]
+"""An option whose description states what its absence means."""
 Positional = tyro.conf.Positional
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
-OptionalPath = Annotated[Path | None, _ABSENT]
-OptionalText = Annotated[str | None, _ABSENT]
-OptionalInt = Annotated[int | None, _ABSENT]
-OptionalFloat = Annotated[float | None, _ABSENT]
-OptionalFloats = Annotated[tuple[float, ...] | None, _ABSENT]
-OptionalBoard = Annotated[
-    tuple[int, int, float] | None,
-    tyro.conf.arg(metavar="COLUMNS ROWS SQUARE_M", help_behavior_hint=""),
-]
 Points = Annotated[tuple[tuple[float, float, float], ...], tyro.conf.UseAppendAction]
-Scene = Literal["room", "sparse", "moving"]
-"""As in `twin.scene.room`, whose import needs OpenGL."""
-OptionalScene = Annotated[Scene | None, _ABSENT]
 Geometry = Literal["joints", "seen"]
 """As in `self_calibration.calibrator`, whose import needs numpy."""
 
-NUMBERS = ConstructorRegistry()
-"""Rules by which tyro parses numbers."""
-_KINDS = {int: ("INT", "a whole number"), float: ("FLOAT", "a number without a unit")}
+
+@dataclass(frozen=True)
+class TwinOptions:
+    """Options of every command that runs the twin."""
+
+    seed: int = 0
+    """Seed of everything random."""
+    profile: str = "ideal"
+    """Error profile of the twin: ideal, paper, noise-only, or a TOML file."""
+    scene: Literal["room", "sparse", "moving"] = "room"
+    """What the head looks at."""
 
 
-@NUMBERS.primitive_rule
-def _numbers(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
-    """Parse a number or a tuple of numbers, optional or not."""
-    kind: Any = info.type
-    if NoneType in get_args(kind):
-        (kind,) = (each for each in get_args(kind) if each is not NoneType)
-    single = get_origin(kind) is not tuple
-    members = (kind,) if single else get_args(kind)
-    repeated = members[-1] is Ellipsis
-    if not all(each in _KINDS for each in (members[:1] if repeated else members)):
-        return None
+@dataclass(frozen=True)
+class ExperimentOptions(TwinOptions):
+    """Options that foveate, track and grasp have in common."""
 
-    def parse(words: list[str]) -> Any:
-        kinds = members[:1] * len(words) if repeated else members
-        values = [_parse(*each) for each in zip(kinds, words, strict=True)]
-        return values[0] if single else tuple(values)
-
-    names = [_KINDS[each][0] for each in (members[:1] if repeated else members)]
-    return PrimitiveConstructorSpec(
-        nargs="*" if repeated else len(members),
-        metavar=f"[{names[0]} [{names[0]} ...]]" if repeated else " ".join(names),
-        instance_from_str=parse,
-        is_instance=lambda value: isinstance(value, int | float | tuple),
-        str_from_instance=lambda value: [*map(str, value if isinstance(value, tuple) else [value])],
-    )
+    geometry: Geometry = "joints"
+    """Locate objects by the joint readings, or by these as corrected by what both eyes see."""
+    out: Optional[Path] = None
+    """Folder for the summary as JSON and a recording; left out: the summary is only printed."""
+    json: Optional[Path] = None
+    """JSON file of the summary."""
 
 
-def _parse(kind: type, word: str) -> Any:
-    try:
-        return kind(word)
-    except ValueError:
-        raise ValueError(f"expected {_KINDS[kind][1]}, found {word!r}") from None
+IDEAL, PAPER = TwinOptions(), TwinOptions(profile="paper")
+EXPERIMENT = ExperimentOptions()
+TwinArguments = Annotated[TwinOptions, tyro.conf.arg(name="")]
+ExperimentArguments = Annotated[ExperimentOptions, tyro.conf.arg(name="")]
+
+DATASET_FILES = ("dataset.json", "frames.csv")
+IDENTIFYING = (
+    "dataset.json", "dataset.rrd", "depth.rrd", "design.json", "foveate.rrd", "grasp.rrd",
+    "statistics.json", "track.rrd",
+)  # fmt: skip
+"""Files that identify a folder as a dataset, or as the results of a command."""
+
+
+def check_outputs(
+    *outputs: Path | None,
+    figure: Path | None = None,
+    folder: Path | None = None,
+    names: Iterable[str] = (),
+    inputs: Iterable[Path | str | None] = (),
+) -> None:
+    """Check that files and a folder of results can be written, without creating any.
+
+    `names` are the files that are written into the folder, `inputs` the files and folders of
+    datasets that the same command reads; None: not asked for. VergenceError if a path cannot be
+    written, two are the same, one is an input or the folder, the folder holds something else, or
+    the name of the figure, a picture, does not end in .png.
+    """
+    if figure is not None and figure.suffix.lower() != ".png":
+        raise VergenceError(f"A figure is a PNG file, whose name ends in .png; found {figure}.")
+    read = [Path(path) / name for path in inputs if path for name in ("", *DATASET_FILES)]
+    taken = {path.resolve(): "the file that is read" for path in read if os.path.isfile(path)}
+    names = tuple(names)
+    if folder is not None:
+        place = check_writable(folder, folder=True)
+        outputs = (*outputs, *(folder / name for name in (*names, UNFINISHED)))
+        taken |= dict.fromkeys((place, *place.parents), "a folder of other results")
+    for path in filter(None, (*outputs, figure)):
+        place = check_writable(path)
+        if place in taken:
+            raise VergenceError(f"Cannot write {path}: it is also {taken[place]}.")
+        taken[place] = "the file of another result"
+    there = set(os.listdir(folder)) if folder is not None and folder.is_dir() else set()
+    foreign = (there & set(IDENTIFYING)) - set(names)
+    if REPORT in there & set(names) and not there & (set(names) - {REPORT}):
+        foreign.add(REPORT)
+    if foreign:
+        raise VergenceError(
+            f"{folder} holds {min(foreign)}, which this command did not write. Name another folder."
+        )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,49 +11,27 @@ from vergence.files import as_json, write_whole
 
 
 @dataclass(frozen=True)
-class Table:
-    """Rows of cells under a heading."""
-
-    heading: Sequence[str]
-    rows: Iterable[Sequence[str]]
-
-    def __str__(self) -> str:
-        rows = [self.heading, *self.rows]
-        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        lines = [
-            "| " + " | ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)) + " |"
-            for row in rows
-        ]
-        lines.insert(1, "|" + "|".join("-" * (width + 2) for width in widths) + "|")
-        return "\n".join(lines)
-
-
-Part = str | Table
-"""A line or paragraph, or a table."""
-
-
-@dataclass(frozen=True)
 class Report:
     """Result of a command."""
 
     title: str
-    parts: Sequence[Part]
-    """What the terminal and the file show first."""
+    parts: Sequence[str]
+    """Paragraphs and tables that the terminal and the file show first."""
     data: Any
     """A dataclass, or plain values, for JSON."""
-    details: Sequence[Part] = ()
+    details: Sequence[str] = ()
     """What only the file shows."""
     files: str = ""
     """Sentences about written files, which only the terminal shows."""
 
     def summary(self) -> str:
         """Format the text for the terminal."""
-        parts = [f"\n{part}\n" if isinstance(part, Table) else part for part in self.parts]
+        parts = [f"\n{part}\n" if part.startswith("|") else part for part in self.parts]
         return "\n".join(filter(None, [*parts, self.files])).strip("\n")
 
     def markdown(self) -> str:
         """Format the text of a report.md."""
-        return "\n\n".join([f"# {self.title}", *map(str, (*self.parts, *self.details))]) + "\n"
+        return "\n\n".join([f"# {self.title}", *self.parts, *self.details]) + "\n"
 
     def json(self) -> str:
         """Format the values as JSON."""

@@ -12,22 +12,20 @@ The world is the left eye's base frame.
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager
-from pathlib import Path
-
 import cv2
 import numpy as np
 import rerun as rr
+import rerun.blueprint as rrb
 
-from vergence.arrays import Array
 from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.projection import T_lbase_eye
+from vergence.self_calibration.dense_pairs import StereoImages
 from vergence.stereo.dense_depth import DenseDepth, point_cloud
 from vergence.stereo.rectification import RectifiedPair, rectified_image
-from vergence.viewer.layouts import depth_blueprint
-from vergence.viewer.recording import log_image, recording_file, set_time
+from vergence.viewer.layouts import playing, report_view, view_3d
+from vergence.viewer.recording import log_image, set_time
 from vergence.viewer.shapes import placed
 
 FARTHEST_M = 4.0
@@ -36,30 +34,45 @@ POINTS = 30_000
 """Number of drawn points of a pair, within a factor of two."""
 
 
-def depth_recording(
-    path: Path, head: HeadCalibration
-) -> AbstractContextManager[rr.RecordingStream]:
-    """Record dense depth in a `with` block, as `recording_file` does."""
-    return recording_file(path, "depth", depth_blueprint(), head)
+def depth_blueprint() -> rrb.Blueprint:
+    """Lay out dense depth."""
+    space = view_3d(
+        "points in the left eye's base frame",
+        middle=np.array([0.9, 0.0, -0.2]),
+        eye=np.array([-0.5, 0.5, 0.5]),
+    )
+    titles = {
+        "left": "left, rectified",
+        "right": "right, rectified",
+        "disparity": "disparity [px / 16]",
+        "depth": "depth [mm]",
+        "std": "standard deviation of the depth [mm]",
+    }
+    images = [
+        rrb.Spatial2DView(name=title, origin=f"rectified/{entity}")
+        for entity, title in titles.items()
+    ]
+    grid = rrb.Grid(*images, report_view(), grid_columns=2)
+    return playing(rrb.Horizontal(space, grid), timeline="frame", fps=2.0)
 
 
 def log_depth(
     rec: rr.RecordingStream,
     head: HeadCalibration,
     *,
-    time_s: float,
     index: int,
-    joints: Array,
+    moment: StereoImages,
     pair: RectifiedPair,
-    right: np.ndarray,
     found: DenseDepth,
 ) -> None:
-    """Record one pair; `right` is that camera's own image (H, W, 3) uint8."""
-    set_time(rec, time_s, index)
+    """Record one pair, its depth, and the eyes as the pair was rectified."""
+    set_time(rec, moment.time_s, index)
+    seen = moment.seen
+    head, joints = (head, moment.joints) if seen is None else (seen.head, seen.joints)
     for eye, T in zip(EYES, eye_poses(head, joints), strict=True):
         rec.log(f"world/{eye}_eye", placed(T_lbase_eye(eye, head.T_rbase_lbase, T)))
     log_image(rec, "rectified/left", found.image)
-    log_image(rec, "rectified/right", rectified_image(pair.right, right))
+    log_image(rec, "rectified/right", rectified_image(pair.right, moment.right))
     std_m = np.where(np.isfinite(found.depth_m), found.std_m, np.nan)
     for name, values, unit in (
         ("disparity", 16 * found.disparity_px, 16.0),

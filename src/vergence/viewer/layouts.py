@@ -155,28 +155,6 @@ def dataset_blueprint(head: HeadCalibration, magnification: int | None) -> rrb.B
     return playing(views, timeline="frame", fps=2.0)
 
 
-def depth_blueprint() -> rrb.Blueprint:
-    """Lay out dense depth."""
-    space = view_3d(
-        "points in the left eye's base frame",
-        middle=np.array([0.9, 0.0, -0.2]),
-        eye=np.array([-0.5, 0.5, 0.5]),
-    )
-    titles = {
-        "left": "left, rectified",
-        "right": "right, rectified",
-        "disparity": "disparity [px / 16]",
-        "depth": "depth [mm]",
-        "std": "standard deviation of the depth [mm]",
-    }
-    images = [
-        rrb.Spatial2DView(name=title, origin=f"rectified/{entity}")
-        for entity, title in titles.items()
-    ]
-    grid = rrb.Grid(*images, report_view(), grid_columns=2)
-    return playing(rrb.Horizontal(space, grid), timeline="frame", fps=2.0)
-
-
 def gaze_blueprint(
     title: str,
     head: HeadCalibration,
