@@ -114,9 +114,16 @@ class _Model:
     outlier: float
     independent: bool
 
-    def at(self, residuals: Residuals, x: Variables) -> _Point:
-        """Evaluate residuals; ValueError if an unknown has an impossible value."""
-        errors = [residual.error(x) for residual in residuals]
+    def at(self, residuals: Residuals, x: Variables, known: _Point | None = None) -> _Point:
+        """Evaluate residuals, but for those of a known point at the same unknowns.
+
+        ValueError if an unknown has an impossible value.
+        """
+        same = {} if known is None else {id(r): k for k, r in enumerate(known.residuals)}
+        errors = [
+            known.errors[same[id(r)]] if known is not None and id(r) in same else r.error(x)
+            for r in residuals
+        ]
         pairs = list(zip(residuals, errors, strict=True))
         levels, cost = self.levels, 0.0
         if levels is None:
@@ -142,7 +149,7 @@ class _Model:
         residuals = [residual.follow(point.x) for residual in point.residuals]
         if all(new is old for new, old in zip(residuals, point.residuals, strict=True)):
             return point
-        return self.at(residuals, point.x)
+        return self.at(residuals, point.x, known=point)
 
     def linearised(self, point: _Point) -> Linear:
         weights = [
