@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from vergence.geometry.board import marker_family
-from vergence.twin.scene.board import BLACK, WHITE
+from vergence.twin.scene import BLACK, WHITE
 
 MODULE_TEXELS = 64
 """Width of a marker's module in its picture, finer than the cameras resolve at any distance."""

@@ -33,8 +33,7 @@ from vergence.paper.figures import FIGURES, Figure, default_duration_s
 from vergence.paper.replay import describe, replay
 from vergence.stereo.triangulation import triangulate_at
 from vergence.stereo.uncertainty import locate
-from vergence.twin.budget_sources import profile_sources
-from vergence.twin.calibration_errors import inject_calibration_error
+from vergence.twin.calibration_errors import inject_calibration_error, profile_sources
 from vergence.twin.calibration_sequence import paper_calibration
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile, load_profile

@@ -40,10 +40,9 @@ from vergence.geometry.kinematics import EYE_JOINTS
 from vergence.geometry.parameters import parameter_values
 from vergence.interchange.formats import ExportFormat, export_head, import_head
 from vergence.stereo.triangulation import triangulate_at
-from vergence.twin.evaluation import evaluate
+from vergence.twin.evaluation import Truth, evaluate, load_truth
 from vergence.twin.model import as_built_head, nominal_head
 from vergence.twin.profile import ErrorProfile, load_profile
-from vergence.twin.truth import Truth, load
 
 EXPORTS: dict[ExportFormat, str] = {
     "opencv": "a.yml", "kalibr": "b.yaml", "ros": "c", "urdf": "d.urdf"
@@ -86,7 +85,7 @@ def kinds(folder: Path) -> dict[str, Kind]:
     made["jpeg"] = Kind(png, lambda: use_dataset(folder / "jpeg"))
     truth = folder / "truth.json"
     write_json(true_of(head), truth)
-    made["truth"] = Kind(truth, lambda: finite(evaluate(head, load(truth))))
+    made["truth"] = Kind(truth, lambda: finite(evaluate(head, load_truth(truth))))
     profile = folder / "mine.toml"
     shipped = Path(sys.modules["vergence.twin"].__file__ or "").parent / "profiles" / "paper.toml"
     profile.write_bytes(shipped.read_bytes())

@@ -24,8 +24,7 @@ from rich.progress import track
 
 from vergence.calibration.calibrate import calibrate
 from vergence.data.reader import load_dataset
-from vergence.twin import truth
-from vergence.twin.evaluation import evaluate
+from vergence.twin.evaluation import TRUTH, evaluate, load_truth
 from vergence.twin.profile import load_profile
 from vergence.twin.record import record
 
@@ -53,7 +52,7 @@ def one(seed: int, frames: int) -> dict[str, Any]:
         place = Path(folder) / "dataset"
         record(place, profile=load_profile(profile), seed=seed, frames=frames, **kind)
         found = calibrate(load_dataset(place))
-        compared = evaluate(found.head, truth.load(place / truth.TRUTH))
+        compared = evaluate(found.head, load_truth(place / TRUTH))
     about = {"seed": seed, "profile": profile, "warnings": [str(each) for each in found.findings]}
     return about | kind | asdict(compared)
 

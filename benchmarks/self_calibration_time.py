@@ -28,7 +28,7 @@ from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import paper_calibration, straight_neck
 from vergence.twin.head import Twin
 from vergence.twin.profile import load_profile
-from vergence.twin.scene.room import Scene
+from vergence.twin.scene import Scene
 from vergence.vision.matching.scene_features import match_scene
 
 STEP_S = 0.1

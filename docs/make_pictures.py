@@ -25,7 +25,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure as Canvas
 from rerun.experimental import ViewerClient  # experimental: its names change between versions
 
-from vergence.twin.scene.room import Scene
+from vergence.twin.scene import Scene
 from vergence.viewer.plots.canvas import BLUE, panels, plain_log, save
 
 IMAGES = Path(__file__).parent / "images"

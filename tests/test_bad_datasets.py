@@ -119,10 +119,6 @@ def test_links_that_leave_the_folder_are_refused(folder):
         ),
         ({"joints.jaw": {"column": "jaw", "unit": "rad"}}, "expected one of left_pan"),
         ({"eye_motion": "poses"}, "eye_motion is poses, but joints has left_pan"),
-        (
-            {"cameras.left_wide.intrinsics": {"width": 64, "height": 24, "matrix": MATRIX}},
-            "has images of 32 x 24, but its intrinsics are of 64 x 24",
-        ),
     ],
 )
 def test_a_bad_field_is_named(folder, change, sentence):
@@ -176,19 +172,6 @@ def test_a_neck_that_moves_while_the_board_is_said_to_rest_is_noticed(folder):
     table = [row | {"pitch": 0.05 * k, "placement": 3} for k, row in enumerate(rows(3))]
     write_table(folder, table)
     assert "line 3: neck_pitch has moved by 0.050 rad since line 2" in refusal(folder)
-
-
-@pytest.mark.parametrize(
-    ("unit", "value", "remark"),
-    [("rad", 2.5, "is its unit deg?"), ("deg", 0.4, "are these radians?")],
-)
-def test_angles_that_look_like_another_unit_are_remarked(folder, unit, value, remark):
-    change_about(folder, {"joints.left_pan.unit": unit})
-    change_cell(folder, 2, "left_pan", str(value))
-    remarks = texts(load_dataset(folder).findings, "note")
-    assert len(remarks) == 1
-    assert remark in remarks[0]
-    assert "left_pan" in remarks[0]
 
 
 def test_a_motion_that_is_not_said_to_be_one_is_remarked(folder):

@@ -27,7 +27,7 @@ from vergence.geometry.kinematics import Kinematics, Side
 from vergence.geometry.parameters import boxplus, change_named, is_gain, parameter_names
 from vergence.geometry.projection import project_point
 from vergence.stereo.triangulation import triangulate_at
-from vergence.twin.budget_sources import profile_sources
+from vergence.twin.calibration_errors import profile_sources
 from vergence.twin.profile import ByHand, CalibrationProcedure, ErrorProfile, Joints, load_profile
 from without_mujoco import without_mujoco
 

@@ -176,7 +176,7 @@ def test_the_calibration_file_that_is_printed_can_be_read(tmp_path):
 
 
 def test_every_field_of_the_calibration_file_and_of_the_truth_is_documented():
-    from vergence.twin.truth import Truth
+    from vergence.twin.evaluation import Truth
 
     text = read("docs/calibration_file.md")
     named = set(re.findall(r"`(?:[\w*]+\.)*(\w+)`", text))

@@ -19,9 +19,8 @@ from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics, Side
 from vergence.geometry.parameters import change_named, parameter_names, without_offsets
-from vergence.twin.evaluation import Evaluation, evaluate
+from vergence.twin.evaluation import Evaluation, Truth, evaluate
 from vergence.twin.profile import ErrorProfile
-from vergence.twin.truth import Truth
 
 NAMES = ("left_wide.fx", "left_wide.fy", "left_wide.T_eye_cam.tx", "T_rbase_lbase.rz")
 STD = np.array([0.2, 0.2, 1e-3, 1e-3])

@@ -153,10 +153,10 @@ def recorded(tmp_path_factory: pytest.TempPathFactory, opengl: None, coarsely) -
 @pytest.mark.usefixtures("two_folds")
 @pytest.mark.render
 def test_the_program_on_the_first_screen_finds_where_points_are(recorded, monkeypatch, capsys):
-    from vergence.twin.truth import TRUTH, load
+    from vergence.twin.evaluation import TRUTH, load_truth
 
     monkeypatch.chdir(recorded)
-    truth = load(Path("my_head") / TRUTH).head
+    truth = load_truth(Path("my_head") / TRUTH).head
     there = np.array([[0.5, -0.05, 0.02], [0.7, 0.1, -0.05]])
     angles = np.array([0.05, -0.02, 0.1, -0.02])
     left, right = (

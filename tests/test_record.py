@@ -19,8 +19,8 @@ from vergence.geometry.head import save_head
 from vergence.geometry.kinematics import EYES, Kinematics, T_base_eye
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import transform
-from vergence.twin import truth as truth_file
 from vergence.twin.calibration_sequence import BOARD
+from vergence.twin.evaluation import Truth, load_truth
 from vergence.twin.model import nominal_head
 from vergence.twin.profile import (
     CalibrationProcedure,
@@ -30,7 +30,6 @@ from vergence.twin.profile import (
     Mounting,
 )
 from vergence.twin.record import CHARUCO, record
-from vergence.twin.truth import Truth
 
 PROFILE = ErrorProfile(
     name="test",
@@ -59,7 +58,7 @@ def recorded(
         images = record(out, target=request.param, **SETTINGS)
     assert len(list((out / "images").iterdir())) == images
     dataset = load_dataset(out)
-    return dataset, detect_target(dataset), truth_file.load(out / "truth.json")
+    return dataset, detect_target(dataset), load_truth(out / "truth.json")
 
 
 def test_the_kinds_of_views_are_all_there(recorded):
@@ -91,7 +90,7 @@ def test_a_head_with_other_joints_is_recorded(tmp_path):
         tmp_path / "out", profile=PROFILE, frames=12, moving=3, kinematics=tmp_path / "joints.json"
     )
     dataset = load_dataset(tmp_path / "out")
-    truth = truth_file.load(tmp_path / "out" / "truth.json")
+    truth = load_truth(tmp_path / "out" / "truth.json")
     assert truth.head.kinematics.readings == ("lean", "nod", "roll", "yaw")
     assert np.ptp(dataset.eye_angles[~dataset.moving], axis=0).min() > 0.01  # all were moved
     kinematics = truth.head.kinematics

@@ -163,7 +163,7 @@ def budget(
     if profile is None:
         sources = stated_sources(head, noise)
     else:
-        from vergence.twin.budget_sources import profile_sources
+        from vergence.twin.calibration_errors import profile_sources
         from vergence.twin.profile import load_profile
 
         sources = profile_sources(head, load_profile(profile), noise)

@@ -112,10 +112,11 @@ def evaluate(
     """
     from vergence.cli.evaluation_reports import evaluation_report
     from vergence.twin.evaluation import evaluate as compare
-    from vergence.twin.truth import load
+    from vergence.twin.evaluation import load_truth
 
     check_outputs(json, inputs=[calibration, truth])
-    report = evaluation_report(compare(vg.load_head(calibration, allow_void=True), load(truth)))
+    head = vg.load_head(calibration, allow_void=True)
+    report = evaluation_report(compare(head, load_truth(truth)))
     report.write_json(json)
     return report
 

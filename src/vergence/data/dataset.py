@@ -5,27 +5,34 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
+from io import BytesIO
 from pathlib import Path
 
+import cv2
 import numpy as np
+from PIL import Image
 
 from vergence.arrays import Array
 from vergence.data.description import FRAMES, Description
-from vergence.data.images import (
-    MAX_IMAGE_BYTES,
-    UNREADABLE,
-    decode_image,
-    eight_bits,
-    filled_bits,
-    image_size,
-)
 from vergence.errors import VergenceError, counted
 from vergence.files import read_bytes
 from vergence.findings import Finding
+
+MAX_IMAGE_BYTES = 256 * 2**20
+"""Largest image file; 50 million pixels of 16 bits in three colours have 300 MB unpacked."""
+IMAGE_FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "PPM", "WEBP")
+UNREADABLE = f"is not a readable image ({', '.join(IMAGE_FORMATS)}), or far too large"
+BRIGHTEST_OF = 12
+"""Number of images from which the bits of a camera are estimated; more take longer to read."""
+MAX_GAP_S = 0.2
+"""Longest time [s] between successive rows of one motion; six images at 30 Hz."""
+LEAST_MOVING = 3
+"""Fewest rows of a motion, so that its velocity can be estimated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +109,7 @@ class Dataset:
             return image
         if camera not in self._bits:
             self._bits[camera] = self._filled_bits(camera, image)
-        return eight_bits(image, self._bits[camera])
+        return np.minimum(image >> (self._bits[camera] - 8), 255).astype(np.uint8)
 
     @cached_property
     def _bits(self) -> dict[str, int]:
@@ -110,33 +117,51 @@ class Dataset:
         return {}
 
     def _filled_bits(self, camera: str, image: np.ndarray) -> int:
-        """Estimate the bits that a camera fills from its brightest image, unless they are stated.
+        """Estimate the bits, 8 to 16, that a camera fills, unless they are stated.
 
-        Images over the whole recording are read, since the first may be dark.
+        The brightest image counts. Images over the whole recording are read, since the first may
+        be dark.
         """
         stated = self.description.cameras[camera].bits
         if stated is not None:
             return stated
         rows = [k for k, name in enumerate(self.files[camera]) if name is not None]
-        images = []
-        for k in rows[:: 1 + len(rows) // _BRIGHTEST_OF]:
+        brightest = int(image.max())
+        for k in rows[:: 1 + len(rows) // BRIGHTEST_OF]:
             with suppress(VergenceError):  # raised when that row is read
-                images.append(self._decoded(camera, k))
-        deep = [each for each in images if each is not None and each.dtype != np.uint8]
-        return max(map(filled_bits, deep or [image]))
+                other = self._decoded(camera, k)
+                if other is not None and other.dtype != np.uint8:
+                    brightest = max(brightest, int(other.max()))
+        return max(8, -(-brightest.bit_length() // 2) * 2)
 
     def _decoded(self, camera: str, row: int) -> np.ndarray | None:
+        """Decode an image (H, W, 3), uint8 or uint16; None where there is none or it is damaged."""
         name, stated = self.files[camera][row], self.description.cameras[camera]
         if name is None:
             return None
         content = read_bytes(self.folder / name, MAX_IMAGE_BYTES)
-        size = image_size(content)
-        if size is not None and size != (stated.width, stated.height):
+        try:
+            with warnings.catch_warnings():  # of odd metadata
+                warnings.simplefilter("ignore")
+                with Image.open(BytesIO(content), formats=IMAGE_FORMATS) as header:
+                    size = header.size
+                    header.verify()  # libpng prints a line of its own about a file that is cut off
+        except Exception:  # readers raise errors of many kinds for damaged files
+            return None
+        if size != (stated.width, stated.height):
             raise VergenceError(
                 f"{self.where(row)}: {camera}: {name} has {size[0]} x {size[1]} pixels, but "
                 f"dataset.json says {stated.width} x {stated.height}."
             )
-        return None if size is None else decode_image(content, size)
+        # As the sensor was read out: an EXIF orientation would turn the pixel coordinates.
+        flags = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
+        try:
+            image = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
+        except cv2.error:
+            return None
+        if image is None or image.shape[1::-1] != size or image.dtype not in (np.uint8, np.uint16):
+            return None
+        return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
 
     def frame(self, row: int) -> Frame:
         """Read a row with all its images; errors as in `image`."""
@@ -152,14 +177,6 @@ class Dataset:
     def where(self, row: int) -> str:
         """Cite the file and line of a row."""
         return f"{self.folder / FRAMES}, line {self.lines[row]}"
-
-
-_BRIGHTEST_OF = 12
-"""Number of images from which the bits of a camera are estimated; more take longer to read."""
-MAX_GAP_S = 0.2
-"""Longest time [s] between successive rows of one motion; six images at 30 Hz."""
-LEAST_MOVING = 3
-"""Fewest rows of a motion, so that its velocity can be estimated."""
 
 
 def runs(dataset: Dataset) -> np.ndarray:

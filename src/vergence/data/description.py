@@ -70,12 +70,14 @@ def _direction(axis: Any) -> Any:
     """Convert the name of an axis to its direction; ValueError for an invalid axis."""
     if isinstance(axis, str) and axis in AXIS_NAMES:
         return AXIS_NAMES[axis]
-    numbers = isinstance(axis, list | tuple | np.ndarray) and np.shape(axis) == (3,)
-    if not numbers or not 0.1 < np.linalg.norm(np.array(axis, dtype=float)) < 10:
-        raise ValueError(
-            f"expected {', '.join(AXIS_NAMES)} or a direction such as [0, 0, 1], found {axis!r:.80}"
-        )
-    return axis
+    try:
+        if 0.1 < np.linalg.norm(np.array(axis, dtype=float).reshape(3)) < 10:
+            return axis
+    except (TypeError, ValueError):
+        pass
+    raise ValueError(
+        f"expected {', '.join(AXIS_NAMES)} or a direction such as [0, 0, 1], found {axis!r:.80}"
+    )
 
 
 @dataclass(frozen=True, eq=False, config=_STRICT)
@@ -123,16 +125,11 @@ class Description:
             found = f"found {len(self.cameras)}" if self.cameras else "cameras is empty"
             yield f"a dataset has 1 to {MAX_CAMERAS} cameras; {found}"
         for name, camera in self.cameras.items():
-            side, known = name.partition("_")[0], camera.intrinsics
+            side = name.partition("_")[0]
             if side in EYES and side != camera.eye:
                 yield (
                     f"cameras.{name}.eye is {camera.eye!r}, but {name} sits in the {side} eye; "
                     "perhaps left and right are exchanged"
-                )
-            if known and (known.width, known.height) != (camera.width, camera.height):
-                yield (
-                    f"cameras.{name} has images of {camera.width} x {camera.height}, but its "
-                    f"intrinsics are of {known.width} x {known.height}"
                 )
         board = self.board
         if board.square_m > MAX_SQUARE_M:

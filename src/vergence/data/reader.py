@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,6 @@ from vergence.data.dataset import LEAST_MOVING, MAX_GAP_S, Dataset
 from vergence.data.description import DESCRIPTION, FRAMES, MOVING, Description
 from vergence.data.table import (
     Table,
-    is_angle,
     joint_angles,
     measured_eye_poses,
     placements,
@@ -28,8 +26,6 @@ from vergence.findings import Finding, note
 from vergence.geometry.kinematics import EYES, Kinematics, eye_joint_angles
 from vergence.geometry.neck import NECK_JOINTS
 
-MAX_EYE_RAD = 1.2
-"""Largest plausible angle of an eye; larger ones are probably degrees stated as radians."""
 MOVED_RAD = 0.01
 """Smallest turn between rows that counts as motion; above the noise of encoders."""
 MAX_DESCRIPTION_BYTES = 2**20
@@ -63,12 +59,9 @@ def load_dataset(folder: str | Path) -> Dataset:
     table = read_table(folder / FRAMES, description)
     poses, moving = description.eye_motion == "poses", table.whole_numbers(MOVING, 1) == 1
     time_s, joint_time_s = time_stamps(table)
-    eye_angles = joint_angles(description, description.head_kinematics.readings, table)
+    kinematics = description.head_kinematics
+    eye_angles = joint_angles(description, kinematics.readings, table)
     neck_angles = joint_angles(description, NECK_JOINTS, table)
-    findings: tuple[Finding, ...] = ()
-    if not poses:
-        motion = _unmarked_motion(description.head_kinematics, eye_angles, joint_time_s, moving)
-        findings = (*_odd_units(description, eye_angles, table), *motion)
     return Dataset(
         folder=folder,
         description=description,
@@ -81,7 +74,7 @@ def load_dataset(folder: str | Path) -> Dataset:
         placement=placements(neck_angles, table),
         moving=moving,
         files=_image_files(folder, description, table),
-        findings=findings,
+        findings=() if poses else _unmarked_motion(kinematics, eye_angles, joint_time_s, moving),
     )
 
 
@@ -95,7 +88,7 @@ def _description(content: Any) -> Description:
 def _image_files(
     folder: Path, description: Description, table: Table
 ) -> dict[str, tuple[str | None, ...]]:
-    """List the N image files of each camera; each must exist in the folder and be used once."""
+    """List the N image files of each camera; VergenceError if one is missing or used twice."""
     root = folder.resolve()
     used: dict[Path, str] = {}
     for k, line in enumerate(table.lines):
@@ -122,41 +115,22 @@ def _image_files(
     }
 
 
-def _odd_units(description: Description, eye_angles: Array, table: Table) -> Iterator[Finding]:
-    """Note each joint whose angles (N, r) look like those of another unit."""
-    for n, name in enumerate(description.head_kinematics.readings):
-        joint = description.sources.get(name)
-        if joint is None or not is_angle(description, name):
-            continue
-        k = np.abs(eye_angles[:, n]).argmax()
-        reading = table.columns[joint.column][k]
-        if abs(eye_angles[k, n]) > MAX_EYE_RAD:
-            unit = "deg" if joint.unit == "rad" else "right"
-            sentence = (
-                f"{name} reaches {reading} {joint.unit} in line {table.lines[k]}, further than "
-                f"eyes turn: is its unit {unit}?"
-            )
-            yield note("odd-unit", sentence, name)
-        elif joint.unit == "deg" and 0.05 < abs(float(reading)) < MAX_EYE_RAD:
-            sentence = f"{name} never exceeds {reading} degrees: are these radians?"
-            yield note("odd-unit", sentence, name)
-
-
 def _unmarked_motion(
     kinematics: Kinematics, eye_angles: Array, joint_time_s: Array, moving: np.ndarray
-) -> Iterator[Finding]:
+) -> tuple[Finding, ...]:
     """Note rows that are stated to be at rest but belong to a motion."""
     angles = [eye_joint_angles(kinematics, eye, eye_angles) for eye in EYES]
     # Readings of an eye without a camera may be missing.
     steps = np.nan_to_num(np.diff(np.concatenate(angles, axis=1), axis=0))
     steps[(np.diff(joint_time_s) > MAX_GAP_S) | (moving[1:] & moving[:-1])] = 0.0
-    # A motion goes on in one direction; noise of readings at rest goes to and fro.
-    goes_on = np.minimum(steps[1:], steps[:-1]), np.minimum(-steps[1:], -steps[:-1])
-    odd = int((np.maximum(*goes_on) > MOVED_RAD).any(axis=1).sum())
-    if odd >= LEAST_MOVING - 1:  # a row at each end
-        sentence = (
-            f"The eyes turn on in {odd} rows that are at most {MAX_GAP_S} s apart, and `moving` is "
-            "not 1: if the eyes moved while the images were taken, set it to 1, so that the time "
-            "of a reading counts."
-        )
-        yield note("unmarked-motion", sentence)
+    # A motion keeps its direction; noise of readings at rest changes it.
+    directed = np.minimum(steps[1:], steps[:-1]), np.minimum(-steps[1:], -steps[:-1])
+    count = int((np.maximum(*directed) > MOVED_RAD).any(axis=1).sum())
+    if count < LEAST_MOVING - 1:  # a row at each end
+        return ()
+    sentence = (
+        f"The eyes turn on in {count} rows that are at most {MAX_GAP_S} s apart, and `moving` is "
+        "not 1: if the eyes moved while the images were taken, set it to 1, so that the time of a "
+        "reading counts."
+    )
+    return (note("unmarked-motion", sentence),)

@@ -170,12 +170,13 @@ def time_stamps(table: Table) -> tuple[Array, Array]:
 def joint_angles(description: Description, names: tuple[str, ...], table: Table) -> Array:
     """Parse the readings of n joints (N, n) [rad]; zero for a joint without a column."""
     angles, sources = np.zeros((len(table.lines), len(names))), description.sources
+    parts = [joint for chain in description.head_kinematics.eyes.values() for joint in chain]
     for n, joint in enumerate(map(sources.get, names)):
         if joint is None:
             continue
         readings = joint.sign * table.numbers([joint.column])[:, 0]
         angles[:, n] = np.radians(readings) if joint.unit == "deg" else readings
-        if is_angle(description, names[n]):
+        if all(abs(part.readings.get(names[n], 1.0)) == 1 for part in parts):  # without a gear
             angles[:, n] = _within_half_a_turn(description, names[n], angles[:, n], table)
     return angles
 
@@ -194,12 +195,6 @@ def _within_half_a_turn(description: Description, name: str, angles: Array, tabl
             "a gear, give its factor in kinematics."
         )
     return wrapped
-
-
-def is_angle(description: Description, name: str) -> bool:
-    """Tell whether a reading is periodic: it adds to joints' angles without a gear."""
-    joints = [joint for chain in description.head_kinematics.eyes.values() for joint in chain]
-    return all(abs(joint.readings.get(name, 1.0)) == 1 for joint in joints)
 
 
 def placements(neck_angles: Array, table: Table) -> np.ndarray:

@@ -59,13 +59,8 @@ def write_dataset(
     """Write a dataset into a temporary folder that is renamed when it is complete.
 
     Images become grey PNG files, a third of the size of colour ones and all that detection uses.
-    They are encoded in threads while the next rows are made.
-
-    Args:
-        folder: new or empty.
-        description: cameras, board and joints.
-        rows: in order of time; an iterator may make them one by one.
-        beside: is called with the temporary folder after the last row, to write other files there.
+    They are encoded in threads while the next rows are made; an iterator may make rows one by one,
+    in order of time. `beside` writes other files into the temporary folder after the last row.
 
     Raises:
         VergenceError: the folder is not empty, or cannot be written; there are no rows; a row has

@@ -30,7 +30,7 @@ from vergence.twin.head import Twin
 from vergence.twin.looking_around import learn_by_looking
 from vergence.twin.model import check_calibration_of
 from vergence.twin.profile import ErrorProfile
-from vergence.twin.scene.room import Scene
+from vergence.twin.scene import Scene
 from vergence.twin.simulated_robot import calibrate_twin
 
 STEP_S = 9.0

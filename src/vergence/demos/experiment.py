@@ -19,7 +19,7 @@ from vergence.self_calibration.calibrator import Geometry, VisualGeometry, initi
 from vergence.twin.head import Twin
 from vergence.twin.looking_around import learn_by_looking
 from vergence.twin.profile import ErrorProfile
-from vergence.twin.scene.room import Scene
+from vergence.twin.scene import Scene
 from vergence.twin.simulated_robot import calibrate_twin
 
 if TYPE_CHECKING:

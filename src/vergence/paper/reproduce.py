@@ -32,7 +32,7 @@ from vergence.twin.calibration_sequence import paper_calibration
 from vergence.twin.head import Twin
 from vergence.twin.looking_around import learn_by_looking
 from vergence.twin.profile import ErrorProfile, Lens
-from vergence.twin.scene.room import Scene
+from vergence.twin.scene import Scene
 from vergence.viewer.recording import log_frame, log_report
 from vergence.viewer.seen import log_learned, log_matches
 

@@ -1,24 +1,59 @@
-"""Compare a calibration with the ground truth: errors, and coverage of the stated accuracy."""
+"""The ground truth of a dataset recorded on the twin, and the errors of its calibration.
+
+The truth is truth.json in the dataset's folder. Only evaluation reads it; calibration never does.
+"""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
+from typing import Literal
 
 import numpy as np
+from pydantic import ConfigDict
 from pydantic.dataclasses import dataclass
 from scipy.stats import chi2
 
-from vergence.arrays import Array
+from vergence.arrays import Array, Matrix, Transform
 from vergence.errors import VergenceError
+from vergence.files import read_json
+from vergence.geometry.board import Charuco, Chessboard
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import EYES, Kinematics, Side, same_design
 from vergence.geometry.parameters import boxminus, without_offsets
 from vergence.geometry.se3 import angle, inverse
-from vergence.twin.truth import Truth
+from vergence.twin.profile import ErrorProfile
 
+TRUTH = "truth.json"
+"""Name of the file in the folder of the dataset."""
 REGION = 0.95
 """Probability of a confidence region."""
+
+
+@dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid"))
+class Truth:
+    """Ground truth of a dataset."""
+
+    head: HeadCalibration
+    """The head as built, with gains and offsets that turn joint readings into true angles."""
+    time_offset_s: float
+    """Time from a joint reading to the moment that its image shows."""
+    eye_angles: Matrix
+    """(N, r) true angles [rad] at the moment of each row's images, in the order of the readings."""
+    T_lbase_target: dict[int, Transform]
+    """True pose of the board, by the number of its placement."""
+    board: Chessboard | Charuco
+    """The board as printed; dataset.json may state wrong dimensions."""
+    seed: int
+    lens: str
+    profile: ErrorProfile
+    format: Literal["vergence-truth-1"] = "vergence-truth-1"
+
+
+def load_truth(path: Path) -> Truth:
+    """Read a truth.json. Raises VergenceError as `read_json` does."""
+    return read_json(path, Truth, TRUTH)
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ from vergence.twin.model import (
 )
 from vergence.twin.profile import ErrorProfile, Lens
 from vergence.twin.renderer import Negative, Renderer, overscan_sizes
-from vergence.twin.scene.room import FINENESS, PASSER, Scene, passer_position
+from vergence.twin.scene import FINENESS, PASSER, Scene, passer_position
 from vergence.twin.sensors import play, read
 
 _TICK_STEPS = 5

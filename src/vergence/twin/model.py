@@ -24,7 +24,7 @@ from vergence.geometry.kinematics import EYES, Kinematics, Side
 from vergence.geometry.neck import NECK_JOINTS, Neck
 from vergence.geometry.se3 import pose, rotation
 from vergence.twin.profile import ErrorProfile, Lens
-from vergence.twin.scene.room import Scene, load_scene
+from vergence.twin.scene import Scene, load_scene
 
 CAMERAS = ("left_wide", "right_wide", "left_narrow", "right_narrow")
 

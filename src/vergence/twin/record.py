@@ -42,14 +42,13 @@ from vergence.twin.calibration_sequence import (
     straight_neck,
     visible,
 )
+from vergence.twin.evaluation import TRUTH, Truth
 from vergence.twin.head import Twin
 from vergence.twin.model import nominal_head
 from vergence.twin.profile import ErrorProfile, Lens
 from vergence.twin.renderer import FINE
-from vergence.twin.scene.board import put_charuco
-from vergence.twin.scene.room import Scene
+from vergence.twin.scene import Scene, put_charuco
 from vergence.twin.sensors import with_sensors
-from vergence.twin.truth import TRUTH, Truth
 
 Target = Literal["chessboard", "charuco"]
 

@@ -33,7 +33,6 @@ _WINDOW_PX = 128
 """Side [px] of the part with the object, which is rendered again with multisampling. Without it the
 outline has steps, which displace a sphere of 5 px in radius by 0.04 px. Multisampling the whole
 image takes twice as long."""
-_UNSEEN_GROUP = 5  # of geoms, which MuJoCo leaves out unless it is told otherwise
 _PIXEL_STD_PX = 0.36
 """Standard deviation of the filter of a pixel's area [px]; with multisampling (0.2 px) and
 interpolation (0.3 px) a pixel covers slightly more than its area."""
@@ -102,19 +101,6 @@ def _view_corners(offscreen: Offscreen, data: mujoco.MjData, camera: str) -> Arr
     return np.array(corners) / view.frustum_near
 
 
-def _beside(centres: Array, radii: Array, corners: Array) -> Array:
-    """Test (N,) which spheres lie outside the cone about a view between two corners (2, 2).
-
-    Centres are (N, 3), x right, y up, z back. A sphere without radius is an infinite plane.
-    """
-    rim = np.array([(x, y, -1) for x in corners[:, 0] for y in corners[:, 1]])
-    axis = rim.mean(axis=0) / np.linalg.norm(rim.mean(axis=0))
-    half_angle = np.arccos((rim @ axis / np.linalg.norm(rim, axis=1)).min())
-    far = np.maximum(np.linalg.norm(centres, axis=1), 1e-9)
-    off_axis = np.arccos(np.clip(centres @ axis / far, -1, 1))
-    return (radii > 0) & (off_axis > half_angle + np.arcsin(np.minimum(radii / far, 1)) + 1e-3)
-
-
 def _blurred(image: np.ndarray, std_px: float) -> np.ndarray:
     side = 2 * round(_FILTER_STDS * std_px) + 1
     return cv2.GaussianBlur(image, (side, side), std_px)
@@ -179,13 +165,8 @@ class Renderer:
         return Negative(camera, rendered, (int(v), int(u)))
 
     def _show(self, data: mujoco.MjData, camera: str, corners: Array) -> None:
-        """Show a camera's view between two corners (2, 2), and no more than that."""
-        seen_by, groups = data.camera(camera), self._model.geom_group.copy()
-        centres = (data.geom_xpos - seen_by.xpos) @ seen_by.xmat.reshape(3, 3)
-        beside = _beside(centres, self._model.geom_rbound, corners)
-        self._model.geom_group[beside] = _UNSEEN_GROUP
+        """Show a camera's view between two corners (2, 2)."""
         self._offscreen.show(data, camera)
-        self._model.geom_group[:] = groups
         for view in self._offscreen.scene.camera:  # of either eye, of which the mean is rendered
             (left, top), (right, bottom) = corners * view.frustum_near
             view.frustum_center, view.frustum_width = (left + right) / 2, (right - left) / 2

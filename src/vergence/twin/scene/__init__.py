@@ -1,1 +1,0 @@
-"""What stands before the head: the room and the calibration board."""
