@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from simulated_twin import observe_points
+from vergence.gaze.foveation import ideal_wide_pixel
 from vergence.paper import plots
 from vergence.paper.figures import FIGURES, default_duration_s
 from vergence.paper.plots import draw_figures, save_figures
 from vergence.paper.replay import Replay, estimate
-from vergence.stereo.depth_error import depth_error
 from vergence.twin.model import nominal_head
 from vergence.twin.profile import ErrorProfile, Joints
-from vergence.viewer.plots.foveation import WRONG_M, by_disparity, draw_foveation, miss_px
+from vergence.viewer.plots.accuracy import draw_foveation
 
 SAMPLES = 200
 NOISY = ErrorProfile(joints=Joints(noise_deg=0.1))
@@ -88,21 +88,14 @@ def test_the_folder_holds_the_picture_and_nothing_else(tmp_path: Path):
     assert list(path.parent.iterdir()) == [path]
 
 
-def test_the_cost_of_depth_is_drawn_as_computed():
+def test_an_error_of_depth_costs_in_proportion_and_less_far_away():
     head = nominal_head("2.8mm")
-    converge, cost, disparity = draw_foveation(head).axes
+    converge, cost = draw_foveation(head).axes
     assert [line.get_label() for line in converge.lines] == ["left eye", "right eye"]
-    assert len(disparity.lines) == 3
-    for line, wrong_m in zip(cost.lines, WRONG_M, strict=True):
-        depths, drawn = line.get_data()
-        expected = miss_px(head, depths, np.full_like(depths, wrong_m), eye="left")
-        np.testing.assert_array_equal(drawn, expected)
-
-
-def test_a_right_depth_costs_nothing_and_an_error_of_disparity_the_same_near_and_far():
-    head, depths = nominal_head("2.8mm"), np.array([0.3, 1.0, 5.0])
-    np.testing.assert_allclose(miss_px(head, depths, np.zeros(3), eye="right"), 0, atol=1e-9)
-    wrong = by_disparity(head, depths, 1.0)
-    np.testing.assert_allclose(wrong[0], depth_error(0.3, 0.092, 280, 1.0), rtol=0.02)
-    cost = miss_px(head, depths, wrong, eye="left")
-    np.testing.assert_allclose(cost, cost[0], rtol=0.01)
+    small, _, large = (np.array(line.get_ydata()) for line in cost.lines)
+    assert (np.diff(large) < 0).all()
+    np.testing.assert_allclose(large[-20:], 10 * small[-20:], rtol=0.02)
+    near, far = (ideal_wide_pixel(head, "left", depth_m) for depth_m in (5.0, 5.05))
+    magnified = head.camera("left_narrow").intrinsics.matrix[0, 0]
+    magnified /= head.camera("left_wide").intrinsics.matrix[0, 0]
+    assert large[-1] == pytest.approx(magnified * np.linalg.norm(far - near), rel=0.02)

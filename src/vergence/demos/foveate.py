@@ -32,7 +32,8 @@ from vergence.progress import Progress, silent
 from vergence.self_calibration.calibrator import VisualGeometry
 from vergence.twin.head import Twin
 from vergence.twin.simulated_robot import FRAME_S, SimulatedHead, foveal_errors, unoccluded
-from vergence.viewer.plots.foveation import save_foveation
+from vergence.viewer.plots.accuracy import draw_foveation
+from vergence.viewer.plots.canvas import save
 
 WITHIN_S = 0.5
 """Length of a trial [s]: a saccade takes 60 ms."""
@@ -180,7 +181,7 @@ def foveate(
         ),
     ):
         if experiment.out is not None:
-            save_foveation(experiment.out / "depth.png", settings.calibration)
+            save(draw_foveation(settings.calibration), experiment.out / "depth.png")
         where = targets(trials, experiment.seed, free=partial(unoccluded, twin, margin_m=OBJECT_M))
 
         def record(state: GazeState, frame: Frame | None) -> None:

@@ -76,7 +76,7 @@ def _watch(rec: Recording, twin: Twin, settings: GazeSettings) -> Watch:
         latest_s = frame.time_s
         T_body_lbase = T_body_base(head, "left", frame.neck_angles)
         if not count:
-            log_gaze_styles(rec, head, twin.T_world_lbase() @ inverse(T_body_lbase))
+            log_gaze_styles(rec, twin.T_world_lbase() @ inverse(T_body_lbase))
             if state.geometry is not None:
                 log_seen_styles(rec, head, state.geometry.state)
         poses = twin.body_poses()

@@ -11,7 +11,6 @@ The world is the left eye's base frame. A row of frames.csv is a `frame`.
 
 from __future__ import annotations
 
-from itertools import cycle
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +20,6 @@ from vergence.arrays import Array
 from vergence.calibration.calibrate import CalibrationResult
 from vergence.data.dataset import Dataset
 from vergence.geometry.board import Board, corner_points
-from vergence.geometry.head import HeadCalibration, cameras_of
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.projection import T_lbase_eye
 from vergence.progress import Progress, silent
@@ -36,9 +34,6 @@ from vergence.viewer.recording import (
     time_columns,
 )
 from vergence.viewer.shapes import placed
-
-RESIDUAL_LENGTH_PX = 12
-"""Drawn length of a typical residual [px], within a factor of three."""
 
 
 def record_dataset(
@@ -59,11 +54,10 @@ def record_dataset(
     eyes = result.observations.eye_poses(head)
     if estimate is not None:
         residuals = estimate.residuals_px
-        relative = RESIDUAL_LENGTH_PX / max(estimate.pixel_std_px, 1e-6)
+        relative = 12 / max(estimate.pixel_std_px, 1e-6)  # drawn with 4 to 38 px
         magnification = int(10 ** max(0, round(np.log10(relative))))
         eyes = np.where(np.isfinite(estimate.T_base_eye), estimate.T_base_eye, eyes)
     with recording_file(path, "dataset", dataset_blueprint(head, magnification), head) as rec:
-        _log_styles(rec, head, dataset)
         if estimate is not None:
             rec.log("world/board/shape", _outline(result.observations.board), static=True)
         time_s = dataset.time_s - dataset.time_s[0]
@@ -88,10 +82,11 @@ def record_dataset(
             names = dataset.description.head_kinematics.readings
             curves |= {f"joints/{name}": dataset.eye_angles[:, k] for k, name in enumerate(names)}
         for entity, values in curves.items():
-            known = np.isfinite(values)
-            if known.any():
-                times = time_columns(time_s[known], np.flatnonzero(known))
-                log_curve(rec, entity, times, values[known])
+            known = np.flatnonzero(np.isfinite(values))
+            if len(known):
+                name = entity.partition("/")[2].replace("_", " ")
+                rec.log(entity, rr.SeriesPoints(names=name, marker_sizes=3), static=True)
+                log_curve(rec, entity, time_columns(time_s[known], known), values[known])
         log_report(rec, report)
 
 
@@ -116,33 +111,12 @@ def _log_view(
     log_image(rec, entity, image)
     at = corners + 0.5  # a pixel's centre in the viewer
     seen = np.isfinite(at).all(axis=1)
-    rec.log(f"{entity}/corners", rr.Points2D.from_fields(positions=at[seen]))
+    rec.log(f"{entity}/corners", rr.Points2D(at[seen], colors=style.DETECTED, radii=-2.0))
     if offset is not None:
         used = seen & np.isfinite(offset).all(axis=1)
         strips = list(np.stack([at[used], at[used] + offset[used]], axis=1).astype(np.float32))
-        rec.log(f"{entity}/residuals", rr.LineStrips2D.from_fields(strips=strips))
-
-
-def _log_styles(rec: rr.RecordingStream, head: HeadCalibration, dataset: Dataset) -> None:
-    for entity in camera_entities(head).values():
-        dots = rr.Points2D.from_fields(colors=style.DETECTED, radii=-2.0)
-        rec.log(f"{entity}/corners", dots, static=True)
-        lines = rr.LineStrips2D.from_fields(colors=style.RAY, radii=-1.0)
-        rec.log(f"{entity}/residuals", lines, static=True)
-    readings = dataset.description.head_kinematics.readings
-    others = cycle(style.JOINT_COLOURS.values())
-    colours = {
-        f"joints/{joint}": style.JOINT_COLOURS.get(joint) or next(others)
-        for joint in readings
-        if joint in dataset.description.sources
-    }
-    for eye in EYES:
-        names = [f"residual/{name}" for name in cameras_of(head, eye)]
-        colours |= zip(names, cycle(style.EYE_COLOURS[eye]), strict=False)
-    for entity, colour in colours.items():
-        name = entity.partition("/")[2].replace("_", " ")
-        points = rr.SeriesPoints(names=name, colors=colour, marker_sizes=3)
-        rec.log(entity, points, static=True)
+        lines = rr.LineStrips2D(strips, colors=style.RAY, radii=-1.0)
+        rec.log(f"{entity}/residuals", lines)
 
 
 def rms_by_view(errors: Array) -> Array:

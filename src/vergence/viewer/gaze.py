@@ -25,7 +25,7 @@ from vergence.data.dataset import Frame
 from vergence.gaze.commands import EYE_READINGS, HEAD_JOINTS, NECK, setpoints_at
 from vergence.gaze.foveation import ideal_wide_pixel
 from vergence.gaze.state import GazeSettings, GazeState
-from vergence.geometry.head import HeadCalibration, T_base_cam, T_body_base
+from vergence.geometry.head import T_base_cam, T_body_base
 from vergence.geometry.kinematics import Side
 from vergence.geometry.se3 import inverse, transform
 from vergence.viewer import style
@@ -99,7 +99,10 @@ def log_gaze(
         height, width = frame.images[name].shape[:2]
         u, v = pixel + 0.5
         strips = [[(0, v), (width, v)], [(u, 0), (u, height)]]
-        rec.log(f"{camera_entities(head)[name]}/aim", rr.LineStrips2D(strips))
+        rec.log(
+            f"{camera_entities(head)[name]}/aim",
+            rr.LineStrips2D(strips, colors=style.AIM, radii=0.6),
+        )
 
 
 def _log_positions(
@@ -137,7 +140,7 @@ def _log_axes(
         if state.track is not None:
             length = float(np.linalg.norm(state.track.position - T[:3, 3]))
         strips.append([T[:3, 3], T[:3, 3] + length * T[:3, 2]])
-    rec.log("world/gaze/axes", rr.LineStrips3D.from_fields(strips=strips))
+    rec.log("world/gaze/axes", rr.LineStrips3D(strips, colors=style.RAY, radii=-1.5))
 
 
 def _narrow_cameras(settings: GazeSettings, readings: Array) -> dict[Side, Array]:
@@ -172,7 +175,7 @@ def aims(settings: GazeSettings, state: GazeState, frame: Frame) -> dict[str, Ar
     return found
 
 
-def log_gaze_styles(rec: rr.RecordingStream, head: HeadCalibration, T_world_body: Array) -> None:
+def log_gaze_styles(rec: rr.RecordingStream, T_world_body: Array) -> None:
     """Record names and colours of curves and marks, and the pose (4, 4) of frame body."""
     curves: dict[str, tuple[str, tuple[int, int, int]]] = {
         "error/by_joints": ("one frame by the joints", style.OLD),
@@ -195,15 +198,10 @@ def log_gaze_styles(rec: rr.RecordingStream, head: HeadCalibration, T_world_body
         rec.log(entity, line, static=True)
     names, colors = zip(*style.STATE_COLOURS.items(), strict=True)
     rec.log("doing/gaze", rr.StateConfiguration(values=names, colors=colors), static=True)
-    for entity in camera_entities(head).values():
-        cross = rr.LineStrips2D.from_fields(colors=style.AIM, radii=0.6)
-        rec.log(f"{entity}/aim", cross, static=True)
     rec.log("world/gaze", placed(T_world_body), static=True)
     log_points_style(rec, "world/gaze/trail", 1.5, style.OLD)
     log_points_style(rec, "world/gaze/estimate", 6.0, style.ESTIMATE)
     log_points_style(rec, "world/gaze/hand_trail", 1.5, style.HAND)
-    rays = rr.LineStrips3D.from_fields(colors=style.RAY, radii=-1.5)
-    rec.log("world/gaze/axes", rays, static=True)
 
 
 def _joint(joint: str, kind: str = "") -> str:

@@ -50,15 +50,10 @@ def view_3d(
     contents: tuple[str, ...] = (),
     trails: Mapping[str, float | None] | None = None,
 ) -> rrb.Spatial3DView:
-    """Show a 3-D view in which z points up.
+    """Show a 3-D view in which z points up, from point `eye` (3,) to point `middle` (3,).
 
-    Args:
-        name: title of the view.
-        middle: (3,) the point that the view looks at.
-        eye: (3,) the point that it looks from.
-        origin: entity in whose frame it and the entities below it are drawn.
-        contents: further expressions for entities to draw or to hide.
-        trails: by entity, seconds before the cursor for which it stays visible; None: for ever.
+    It draws what is below `origin`, in that frame. `contents` are expressions for further entities,
+    or hide some. `trails` are the seconds for which an entity stays visible; None: for ever.
     """
     boundary, overrides = rr.TimeRangeBoundary, {}
     now = boundary.cursor_relative(seconds=0)
@@ -166,13 +161,8 @@ def gaze_blueprint(
 ) -> rrb.Blueprint:
     """Lay out a recording of gaze control.
 
-    Args:
-        title: of the 3-D view.
-        head: the calibration whose cameras are shown.
-        reach_m: largest distance of an object, which the 3-D view includes.
-        speed: recorded seconds per second.
-        hand: whether the distance of a hand from the object is shown.
-        seen: whether matches and learned parameters are shown.
+    The 3-D view reaches as far as an object, `reach_m`. `hand` shows the distance of a hand from
+    the object, `seen` the matches and the learned parameters.
     """
 
     def plot(name: str, origin: str, **options: Any) -> rrb.TimeSeriesView:

@@ -9,6 +9,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import sys
 import threading
 from collections.abc import Iterator, Mapping, Sequence
@@ -82,17 +83,17 @@ def _noticing_errors(path: Path) -> Iterator[str]:
         yield str(path)
         return
     errors: list[OSError] = []
-    file = path.open("wb", buffering=0)
     source, sink = os.pipe()
 
     def copy() -> None:
-        with os.fdopen(source, "rb", buffering=0) as pipe, file:
-            while data := pipe.read(1 << 20):
-                try:
-                    while data and not errors:  # after an error the pipe is only emptied
-                        data = data[file.write(data) :]
-                except OSError as error:
-                    errors.append(error)
+        with os.fdopen(source, "rb", buffering=0) as pipe:
+            try:
+                with path.open("wb") as file:
+                    shutil.copyfileobj(pipe, file, 1 << 20)
+            except OSError as error:
+                errors.append(error)
+                while pipe.read(1 << 20):  # rerun would wait for a full pipe
+                    pass
 
     copier = threading.Thread(target=copy)
     copier.start()
@@ -143,15 +144,8 @@ def log_frame(
 ) -> None:
     """Record posture, images and marks of one moment; any thread may call it.
 
-    Args:
-        rec: the recording.
-        head: whose cameras are drawn.
-        time_s: since the first sample.
-        index: number of the sample.
-        frame: the images; None: only the posture is recorded.
-        body_poses: by name, poses (4, 4) in the world.
-        detected: by camera, the detected pixel (2,) of the object; NaN: not found.
-        truth: by camera, the true pixel (2,) of the object.
+    `body_poses` are poses (4, 4) in the world. `detected` and `truth` are pixels (2,) of the object
+    by camera; NaN: not found. Without a frame only the posture is recorded.
     """
     set_time(rec, time_s, index)
     for body, T in body_poses.items():
@@ -163,10 +157,11 @@ def log_frame(
         log_image(rec, entity, image)
         crosses = [at + style.CROSS_PX for at in _within(detected.get(name), image)]
         strips = np.concatenate(crosses) if crosses else []
-        rec.log(f"{entity}/detected", rr.LineStrips2D.from_fields(strips=strips))
+        rec.log(f"{entity}/detected", rr.LineStrips2D(strips, colors=style.DETECTED, radii=1.0))
         centers = _within(truth.get(name), image)
         radii = np.full_like(centers, style.RING_PX)
-        rec.log(f"{entity}/truth", rr.Ellipses2D.from_fields(centers=centers, half_sizes=radii))
+        ring = rr.Ellipses2D(centers=centers, half_sizes=radii, colors=style.TRUTH, line_radii=1.0)
+        rec.log(f"{entity}/truth", ring)
 
 
 def log_image(rec: rr.RecordingStream, entity: str, image: np.ndarray) -> None:

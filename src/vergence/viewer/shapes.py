@@ -91,7 +91,7 @@ def log_points_style(
 
 
 def log_cameras(rec: rr.RecordingStream, head: HeadCalibration) -> None:
-    """Record the cameras in their eyes, and the colours of the marks in their images."""
+    """Record the cameras in their eyes."""
     for name, entity in camera_entities(head).items():
         mounted = head.camera(name)
         camera, image_from_camera = mounted.intrinsics, mounted.intrinsics.matrix.copy()
@@ -109,10 +109,6 @@ def log_cameras(rec: rr.RecordingStream, head: HeadCalibration) -> None:
             rr.TransformAxes3D(0),  # else the viewer draws axes as long as the frustum
             static=True,
         )
-        cross = rr.LineStrips2D.from_fields(colors=style.DETECTED, radii=1.0)
-        rec.log(f"{entity}/detected", cross, static=True)
-        ring = rr.Ellipses2D.from_fields(colors=style.TRUTH, line_radii=1.0)
-        rec.log(f"{entity}/truth", ring, static=True)
 
 
 def spread_ellipsoid(points: Array) -> rr.Ellipsoids3D:

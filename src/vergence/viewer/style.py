@@ -8,7 +8,6 @@ APPLICATION = "vergence"  # the same for every recording: no dots or slashes
 
 AXIS_COLOURS = {"x": (31, 90, 255), "y": (0, 150, 40), "z": (225, 30, 30)}
 """The paper's: x (depth) blue, y green, z red."""
-PALE = {"x": (150, 185, 255), "y": (140, 215, 150), "z": (255, 165, 160)}
 PAPER = (150, 150, 150)
 EYE_COLOURS = {"left": ((230, 120, 20), (240, 190, 90)), "right": ((30, 140, 170), (120, 200, 215))}
 """Strong and light; of a joint: pan and tilt."""
@@ -37,12 +36,12 @@ TRAIL_S = 10.0
 """How long an estimate stays bright."""
 SPEED = 3.0
 """Playback speed, recorded seconds per second: the eyes' period of 2 pi s is slow to watch."""
-NECK_COLOURS = {
+HEAD_JOINT_COLOURS = {
     "neck_pitch": (150, 60, 160),
     "neck_roll": (110, 110, 110),
     "neck_yaw": (40, 120, 60),
+    **JOINT_COLOURS,
 }
-HEAD_JOINT_COLOURS = NECK_COLOURS | JOINT_COLOURS
 STATE_COLOURS = {
     "saccade": (230, 120, 20),
     "pursuit": (31, 90, 255),
@@ -68,3 +67,6 @@ def pale(rgb: tuple[int, int, int]) -> tuple[int, int, int]:
     """Mix a colour with white."""
     r, g, b = (round(0.45 * level + 0.55 * 255) for level in rgb)
     return r, g, b
+
+
+PALE = {axis: pale(colour) for axis, colour in AXIS_COLOURS.items()}

@@ -1,1 +1,1 @@
-"""Plots by matplotlib: calibrations, foveation, error budgets, designs and plans."""
+"""Plots by matplotlib: calibrations, and predicted accuracy."""

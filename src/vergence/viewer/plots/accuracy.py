@@ -1,4 +1,4 @@
-"""Pictures of predicted accuracy: error budgets, plans of views, and sweeps over designs."""
+"""Pictures of predicted accuracy: budgets, plans of views, designs, and the cost of depth."""
 
 from __future__ import annotations
 
@@ -6,23 +6,25 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure as Canvas
 
 from vergence.accuracy.budget import Budget
 from vergence.accuracy.design_settings import AXES
 from vergence.accuracy.design_sweep import Sweep, at_distance, by_source, values_of
 from vergence.accuracy.plan import Plan
+from vergence.gaze.foveation import foveal_miss, ideal_wide_pixel
 from vergence.geometry.board import corner_points
-from vergence.geometry.head import T_head_base
-from vergence.geometry.se3 import transform
+from vergence.geometry.head import HeadCalibration, T_head_base, T_narrow_wide
+from vergence.geometry.kinematics import EYES
+from vergence.geometry.se3 import inverse, transform
 from vergence.viewer.plots.canvas import BLUE, GREEN, RED, label, panels, plain_log, save
+from vergence.viewer.style import EYE_COLOURS, html
 
 MAP_STEPS = 41
-LEVELS = (0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500)
-"""Levels of the map's contours [mm]."""
-UNITS = ("mm", "px", "deg", "ms")
-"""At the end of the name of a property."""
-CURVES = 7
-"""Baselines that are drawn at most."""
+"""Points of a side of the map."""
+DEPTHS_M = np.geomspace(0.25, 5.0, 200)
+DEPTH_ERRORS = {0.005: "#8fb4f0", 0.020: "#4a7fe0", 0.050: "#12389b"}
+"""Drawn errors of depth [m], with their colours."""
 
 
 def save_budget(path: Path, budgets: Sequence[Budget], title: str) -> None:
@@ -88,13 +90,14 @@ def save_design(
     grid = np.stack(np.broadcast_arrays(x[:, None], y, 0.0), axis=-1).reshape(-1, 3)
     squares = by_source(settings, values_of(settings, place), grid).sum(axis=0)
     error_mm = 1e3 * np.sqrt(squares).reshape(MAP_STEPS, MAP_STEPS)
-    lines = above.contour(y, x, error_mm, levels=LEVELS, cmap="viridis")
+    levels_mm = (0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500)
+    lines = above.contour(y, x, error_mm, levels=levels_mm, cmap="viridis")
     above.clabel(lines, fmt="%g mm", fontsize=8)
     above.invert_xaxis()  # y, to the left
     title = "of fixated points, from above"
     label(above, title, xlabel="y [m]", ylabel="x [m]", aspect="equal")
     baselines = settings.designs.baseline_mm
-    for k in np.unique(np.linspace(0, len(baselines) - 1, CURVES).astype(int)):
+    for k in np.unique(np.linspace(0, len(baselines) - 1, 7).astype(int)):
         own = (int(k), *place[1:])
         name = f"{baselines[k]:g} mm" + (" (chosen)" if own == place else "")
         width = 2.5 if own == place else 1.0
@@ -131,9 +134,39 @@ def save_properties(path: Path, sweep: Sweep, place: tuple[int, ...], distance_m
         order = np.argsort(values)
         axes.plot(values[order], line[order], ".-", color=BLUE)
         axes.plot(values[place[k]], line[place[k]], "o", color=GREEN)
-        what, _, unit = name.rpartition("_")
-        xlabel = f"{what.replace('_', ' ')} [{unit}]" if unit in UNITS else name.replace("_", " ")
         axes.axhline(0, alpha=0)  # the margin is a part of the height above zero
         axes.margins(y=0.08)
-        label(axes, "", xlabel=xlabel, ylabel="[mm]", ylim=(0, None))
+        label(axes, "", xlabel=name.replace("_", " "), ylabel="[mm]", ylim=(0, None))
     save(canvas, path)
+
+
+def draw_foveation(calibration: HeadCalibration) -> Canvas:
+    """Draw how the ideal wide pixel converges with depth, and what errors of depth cost.
+
+    This is the claim at the end of the paper's Sec. IV.
+    """
+    canvas, (converge, cost) = panels(
+        2, "Where to hold an object in the wide image so that it falls on the fovea"
+    )
+    for eye in EYES:
+        limit = ideal_wide_pixel(calibration, eye, np.inf)
+        distance = np.linalg.norm(ideal_wide_pixel(calibration, eye, DEPTHS_M) - limit, axis=1)
+        width = 3.0 if eye == "left" else 1.5  # on a head as designed they are the same
+        colour = html(EYE_COLOURS[eye][0])
+        converge.plot(DEPTHS_M, distance, color=colour, linewidth=width, label=f"{eye} eye")
+    T_wide_narrow = inverse(T_narrow_wide(calibration, "left"))
+    from_wide = T_wide_narrow[2, 2] * DEPTHS_M + T_wide_narrow[2, 3]
+    for wrong_m, colour in DEPTH_ERRORS.items():
+        miss = foveal_miss(calibration, "left", from_wide, DEPTHS_M + wrong_m)
+        name = f"depth wrong by {1e3 * wrong_m:.0f} mm"
+        cost.plot(DEPTHS_M, np.linalg.norm(miss, axis=1), color=colour, label=name)
+    for axes, title, ylabel in (
+        (converge, "ideal position, from its limit at infinity", "wide image [px]"),
+        (cost, "what an error in depth costs, left eye", "narrow image [px]"),
+    ):
+        limits = {"xscale": "log", "xlim": DEPTHS_M[[0, -1]], "ylim": (0, None)}
+        label(axes, title, legend=True, xlabel="depth [m]", ylabel=ylabel, **limits)
+        marks = [0.25, 0.5, 1, 2, 5]
+        axes.set_xticks(marks, [f"{mark:g}" for mark in marks])
+        axes.minorticks_off()
+    return canvas
