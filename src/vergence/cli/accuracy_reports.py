@@ -145,19 +145,16 @@ def design_report(
     return Report("Design of a head", (sentence,), data, details=details)
 
 
-BUDGET_HEADING = "source | x | y | z | x, parallel | shared"
-"""Standard deviations [mm]: of what differs between samples, in x, y and z; of the same in x in
-parallel motion; of what all samples share, in x, y and z."""
-
-
 def budget_report(found: MotionBudgets) -> Report:
     """Report the budgets of points: a table and a sentence of advice for each."""
+    # Standard deviations of what differs between samples, and of what all samples share.
+    heading = "source | x | y | z | x, parallel | shared"
     parts: list[str] = []
     for k, one in enumerate(found.budgets):
         x, y, z = one.point_m
         parts += [
             f"({x:g}, {y:g}, {z:g}) m, {found.motion} motion: 1 std [mm]",
-            markdown_table(BUDGET_HEADING, budget_rows(found, k)),
+            markdown_table(heading, budget_rows(found, k)),
             advice(one),
         ]
     data = {
@@ -169,7 +166,7 @@ def budget_report(found: MotionBudgets) -> Report:
 
 
 def budget_rows(found: MotionBudgets, k: int) -> list[tuple[str, ...]]:
-    """List the parts of point k under BUDGET_HEADING, the total last."""
+    """List the parts of point k [mm], the total last."""
 
     def mm(value: float) -> str:
         return f"{1e3 * value:z.2f}"

@@ -9,14 +9,6 @@ from vergence.files import markdown_table
 from vergence.self_calibration.recorded import OBSERVED, SelfCalibrationResult
 from vergence.twin.evaluation import Evaluation
 
-UNITS = {
-    "px": (1.0, (".fx", ".fy", ".cx", ".cy")),
-    "deg": (float(np.degrees(1.0)), (".rx", ".ry", ".rz", "_rad")),
-    "mm": (1e3, (".tx", ".ty", ".tz", "_m")),
-    "%": (100.0, ("gain",)),
-}
-"""Printed unit of a parameter, the factor to it, and the ends of the parameters' names."""
-
 
 def evaluation_report(found: Evaluation) -> Report:
     """Report errors of a calibration, and how many confidence regions contain the truth."""
@@ -41,14 +33,12 @@ def evaluation_report(found: Evaluation) -> Report:
 
 def self_calibration_report(found: SelfCalibrationResult) -> Report:
     """Report what a recording showed of each parameter, and of the depth of a point."""
-    rows = []
-    for each in found.parameters:
-        if each.verdict != "not observed":
-            unit, scale = _unit(each.name)
-            change = f"{scale * each.change:+.3g} {unit}".rstrip()
-            stds = (f"{scale * each.prior_std:.3g}", f"{scale * each.std:.3g}")
-            rows.append((each.name, change, *stds, each.verdict))
-    heading = "parameter | change | std before | std after |"
+    rows = [
+        (each.name, f"{each.change:+.3g}", f"{each.prior_std:.3g}", f"{each.std:.3g}", each.verdict)
+        for each in found.parameters
+        if each.verdict != "not observed"
+    ]
+    heading = "parameter [px, rad, m] | change | std before | std after |"
     table = (markdown_table(heading, rows),) if rows else ()
     data = {
         "frames": found.frames,
@@ -69,11 +59,3 @@ def self_calibration_report(found: SelfCalibrationResult) -> Report:
         "findings": [vars(each) for each in found.findings],
     }
     return Report("Change since the calibration", (*table, *found.summary().splitlines()), data)
-
-
-def _unit(name: str) -> tuple[str, float]:
-    """Choose the printed unit of a parameter, and the factor to it."""
-    for unit, (factor, ends) in UNITS.items():
-        if name.endswith(ends):
-            return unit, factor
-    return "", 1.0

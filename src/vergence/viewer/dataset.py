@@ -1,12 +1,7 @@
 """Record a dataset with its calibration: images, detected corners and their residuals.
 
-    /world/<side>_eye/<camera>/corners    detected corners
-    /world/<side>_eye/<camera>/residuals  their residuals, magnified
-    /world/board                          the board, in frame target
-    /residual/<camera>                    root mean square of an image's residuals [px]
-    /joints/<joint>                       joint readings [rad]
-
-The world is the left eye's base frame. A row of frames.csv is a `frame`.
+The world is the left eye's base frame. A row of frames.csv is a `frame`. Curves are below
+/residual [px] and /joints [rad].
 """
 
 from __future__ import annotations

@@ -1,12 +1,5 @@
 """Record dense depth: rectified pairs, disparity, depth and its deviation, and the points.
 
-    /rectified/<side>/image   the rectified images
-    /rectified/disparity      disparities [px / 16]; 0: not matched
-    /rectified/depth          depth [mm]
-    /rectified/std            its standard deviation [mm]
-    /world/points             the points, coloured
-    /world/<side>_eye         the eyes
-
 The world is the left eye's base frame.
 """
 

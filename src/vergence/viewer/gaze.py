@@ -1,15 +1,7 @@
 """Record a gaze controller frame by frame: its images, its commands and its estimates.
 
-/world/<side>_eye/<camera>/aim  a long cross at the target position of the object
-/world/gaze                     frame body, with the axes, the estimate, the truth, the hand
-/doing/<lane>                   state of the gaze and of other parts of the experiment
-/gaze_error/left, right         true distance of the object from the narrow image's centre [px]
-/position/x, y, z, true_x, ...  estimate and truth [m], in frame body
-/error/fused, by_one_frame      distance of the estimates from the truth [mm]
-/error/by_joints                by the joints alone, where the geometry is seen (`viewer.seen`)
-/hand/distance                  distance of the hand, by its encoders, from the object [mm]
-/eyes/<joint>, command_<joint>  readings and commands of the eyes [rad]
-/neck/<joint>, command_<joint>  readings and commands of the neck [rad]
+Positions and errors are in frame body, the entity /world/gaze. Curves are below /gaze_error [px],
+/position [m], /error and /hand [mm], /eyes and /neck [rad]; states are below /doing.
 """
 
 from __future__ import annotations

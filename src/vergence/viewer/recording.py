@@ -1,9 +1,6 @@
 """The file of a recording, and what every kind of recording has: images, marks, curves, a report.
 
-/world/<side>_eye/<camera>/image     JPEG
-/world/<side>_eye/<camera>/detected  cross at the detected pixel of the object
-/world/<side>_eye/<camera>/truth     ring at its true pixel
-/report                              report in markdown
+Images and their marks are below /world/<side>_eye/<camera>, the report is /report.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """Record self-calibration: matches in the images, and learned parameters.
 
-/world/<side>_eye/<camera>/matches     features that both eyes see: green inliers, red outliers
-/learned/gain/<joint>, focal/<camera>  change since the calibration, and ± its std [%]
+Below /learned are changes since the calibration, and the same plus and minus one std [%].
 """
 
 from __future__ import annotations

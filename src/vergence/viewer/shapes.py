@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import rerun as rr
@@ -19,11 +19,6 @@ if TYPE_CHECKING:  # the twin, and with it mujoco, is not needed to record a rea
     from vergence.twin.appearance import VisualGeom
 
 
-def quaternions(R: Array) -> Array:
-    """Convert rotations (..., 3, 3) to quaternions xyzw (..., 4)."""
-    return Rotation.from_matrix(R).as_quat()
-
-
 def placed(T: Array) -> rr.Transform3D:
     """Place an entity at pose T (4, 4) in its parent."""
     return rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3])
@@ -31,50 +26,32 @@ def placed(T: Array) -> rr.Transform3D:
 
 def log_geoms(rec: rr.RecordingStream, geoms: Sequence[VisualGeom]) -> None:
     """Record visible shapes, each fixed to the entity of its body."""
-    batches: dict[tuple[str, str], list[VisualGeom]] = {}
-    for geom in geoms:
-        batches.setdefault((geom.body, geom.shape), []).append(geom)
-    for (body, shape), batch in batches.items():
-        entity = f"world/{body}/shape/{shape}"
-        T = np.array([geom.T_body_geom for geom in batch])
-        size = np.array([geom.size for geom in batch])
-        rgba = np.array([geom.rgba for geom in batch]) * [1, 1, 1, style.ALPHA.get(body, 1)]
-        colors = np.round(255 * rgba).astype(np.uint8)
-        look: dict[str, Any] = {"colors": colors, "fill_mode": "solid"}
-        look["quaternions"] = quaternions(T[:, :3, :3])
-        centers = T[:, :3, 3]
-        if shape == "box":
-            solids = rr.Boxes3D(half_sizes=size, centers=centers, **look)
-        elif shape in ("sphere", "ellipsoid"):
-            half_sizes = size[:, [0, 0, 0]] if shape == "sphere" else size
-            solids = rr.Ellipsoids3D(half_sizes=half_sizes, centers=centers, **look)
-        elif shape in ("cylinder", "capsule"):
-            look |= {"radii": size[:, 0], "lengths": 2 * size[:, 1]}
-            if shape == "cylinder":
-                solids = rr.Cylinders3D(centers=centers, **look)
-            else:  # rerun's capsule begins at its origin; MuJoCo's has it in the middle
-                starts = centers - size[:, 1:2] * T[:, :3, 2]
-                solids = rr.Capsules3D(translations=starts, **look)
-        else:
-            for k, geom in enumerate(batch):
-                rec.log(f"{entity}/{k}", _mesh(geom, colors[k]), static=True)
-            continue
-        rec.log(entity, solids, static=True)
+    for k, geom in enumerate(geoms):
+        rgba = geom.rgba * [1, 1, 1, style.ALPHA.get(geom.body, 1)]
+        shape = _shape(geom, np.round(255 * rgba).astype(np.uint8))
+        rec.log(f"world/{geom.body}/shape/{k}", placed(geom.T_body_geom), shape, static=True)
 
 
-def _mesh(geom: VisualGeom, color: np.ndarray) -> rr.Mesh3D:
-    R, t = geom.T_body_geom[:3, :3], geom.T_body_geom[:3, 3]
+def _shape(geom: VisualGeom, color: np.ndarray) -> rr.AsComponents:
+    """Draw a shape in frame geom."""
+    size, look = geom.size, {"colors": [color], "fill_mode": "solid"}
     if geom.triangles is not None and geom.normals is not None:
-        return rr.Mesh3D(
-            vertex_positions=geom.triangles.reshape(-1, 3) @ R.T + t,
-            vertex_normals=geom.normals.reshape(-1, 3) @ R.T,
-            albedo_factor=color,
-        )
-    x, y = geom.size[:2]
-    corners = np.array([[-x, y, 0], [x, y, 0], [x, -y, 0], [-x, -y, 0]])
+        corners, normals = geom.triangles.reshape(-1, 3), geom.normals.reshape(-1, 3)
+        return rr.Mesh3D(vertex_positions=corners, vertex_normals=normals, albedo_factor=color)
+    if geom.shape == "box":
+        return rr.Boxes3D(half_sizes=[size], **look)
+    if geom.shape in ("sphere", "ellipsoid"):
+        half_sizes = size[[0, 0, 0]] if geom.shape == "sphere" else size
+        return rr.Ellipsoids3D(half_sizes=[half_sizes], **look)
+    look |= {"radii": [size[0]], "lengths": [2 * size[1]]}
+    if geom.shape == "cylinder":
+        return rr.Cylinders3D(**look)
+    if geom.shape == "capsule":  # rerun's begins at its origin; MuJoCo's has it in the middle
+        return rr.Capsules3D(translations=[[0, 0, -size[1]]], **look)
+    x, y = size[:2]
     return rr.Mesh3D(
-        vertex_positions=corners @ R.T + t,
-        vertex_normals=np.tile(R[:, 2], (4, 1)),
+        vertex_positions=[[-x, y, 0], [x, y, 0], [x, -y, 0], [-x, -y, 0]],
+        vertex_normals=np.tile([0, 0, 1], (4, 1)),
         vertex_texcoords=[[0, 0], [1, 0], [1, 1], [0, 1]],
         triangle_indices=[[0, 2, 1], [0, 3, 2]],
         albedo_texture=geom.texture,
@@ -118,7 +95,7 @@ def spread_ellipsoid(points: Array) -> rr.Ellipsoids3D:
     return rr.Ellipsoids3D(
         centers=[points.mean(axis=0)],
         half_sizes=[2 * np.sqrt(np.maximum(variances, 0))],
-        quaternions=[rr.Quaternion(xyzw=quaternions(axes))],
+        quaternions=[rr.Quaternion(xyzw=Rotation.from_matrix(axes).as_quat())],
         colors=style.OBJECT,
         fill_mode="majorwireframe",
     )
