@@ -34,9 +34,9 @@ from vergence.self_calibration.prior import initial_state
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import paper_calibration
 from vergence.twin.head import Twin
-from vergence.twin.looking_around import LOOK_STEP_S, look_around
 from vergence.twin.model import nominal_head
 from vergence.twin.profile import Lens, load_profile
+from vergence.twin.simulated_robot import LOOK_STEP_S, look_around
 
 NOISE_PX, JOINT_DEG, POINTS, DURATION_S = 0.08, 0.15, 500, 60.0
 TURN = ("rx", "ry", "rz")

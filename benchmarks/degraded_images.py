@@ -39,9 +39,9 @@ from vergence.stereo.triangulation import triangulate_at
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import paper_calibration, straight_neck
 from vergence.twin.head import Twin
-from vergence.twin.looking_around import learn_by_looking
 from vergence.twin.profile import load_profile
 from vergence.twin.sensors import with_sensors
+from vergence.twin.simulated_robot import learn_by_looking
 from vergence.vision.sphere import STD_PX, find_sphere
 
 CAMERAS = ("left_wide", "right_wide")

@@ -70,17 +70,6 @@ def test_what_is_written_is_read_back(tmp_path, joint):
             assert np.abs(image[..., 0] - grey).max() <= 1
 
 
-@pytest.mark.parametrize(
-    "angles", [{"eye_angles": np.zeros(7)}, {"neck_angles": np.zeros(2)}, {"eye_angles": 0.0}]
-)
-def test_other_readings_than_described_are_refused_and_nothing_is_left(tmp_path, angles):
-    row = entries(1, np.random.default_rng(1))[0]
-    wrong = replace(row, frame=replace(row.frame, **angles))
-    with pytest.raises(VergenceError, match=r"needs numbers of the readings .*; found "):
-        write_dataset(tmp_path / "set", about(), [wrong])
-    assert not (tmp_path / "set").exists()
-
-
 def image(width: int = 32, height: int = 24) -> np.ndarray:
     return np.zeros((height, width, 3), np.uint8)
 
@@ -97,6 +86,10 @@ def image(width: int = 32, height: int = 24) -> np.ndarray:
         ({"neck_angles": np.array([np.inf, 0, 0])}, "line 4: neck_.* is 'inf', not a finite"),
         ({"eye_angles": np.full(4, 30.0)}, "line 4: left_pan = 30.0 rad is more than a turn"),
         ({"neck_angles": np.full(3, 0.1)}, "line 4: neck_.* has moved by 0.100 rad since line 3"),
+        ({"time_s": None}, "line 4: time_s is blank"),
+        ({"eye_angles": [0.1, "x", 0, 0]}, "needs numbers of the readings .*; found .*'x'"),
+        ({"eye_angles": np.zeros(7)}, "needs numbers of the readings .*; found "),
+        ({"neck_angles": np.zeros(2)}, "needs numbers of the readings .*; found "),
         ({"joint_time_s": np.nan}, "line 4: joint_time_s is 'nan'"),
         ({"joint_time_s": 7.2}, "line 4: time_s and joint_time_s lie 5 s apart"),
         ({"time_s": 1.1}, "line 4: time_s = 1.1 repeats that of line 3; time stamps increase"),
@@ -138,21 +131,6 @@ def test_images_are_those_of_their_row_though_the_driver_uses_one_array_again(tm
         assert (image == k).all()
 
 
-@pytest.mark.parametrize(
-    ("changed", "said"),
-    [
-        ({"time_s": None}, "line 2: time_s is blank"),
-        ({"eye_angles": [0.1, "x", 0.0, 0.0]}, "needs numbers of the readings .*; found .*'x'"),
-    ],
-)
-def test_what_are_no_numbers_is_refused(tmp_path, changed, said: str):
-    (row,) = entries(1, np.random.default_rng(1))
-    with pytest.raises(VergenceError, match=said):
-        write_dataset(
-            tmp_path / "set", about(), [replace(row, frame=replace(row.frame, **changed))]
-        )
-
-
 def test_poses_take_the_place_of_angles_and_are_read_back_exactly(tmp_path):
     rng, folder = np.random.default_rng(2), tmp_path / "set"
     described = Description(cameras=about().cameras, board=CHARUCO, eye_motion="poses")
@@ -180,12 +158,9 @@ def test_a_folder_that_is_not_empty_is_never_overwritten(tmp_path):
     with pytest.raises(VergenceError, match="already exists and is not empty"):
         write_dataset(folder, about(), entries(2, np.random.default_rng(0)))
     assert sorted(folder.rglob("*")) == before
-
-
-def test_a_dataset_without_rows_is_not_written(tmp_path):
     with pytest.raises(VergenceError, match="A dataset has one row or more; found none"):
-        write_dataset(tmp_path / "set", about(), [])
-    assert not (tmp_path / "set").exists()
+        write_dataset(tmp_path / "none", about(), [])
+    assert not (tmp_path / "none").exists()
 
 
 def test_images_of_16_bits_keep_their_levels(tmp_path):

@@ -48,8 +48,8 @@ def test_ranges_lists_and_numbers_are_values(tmp_path: Path):
     [
         ("[designs]\nbaseline_mm = [5]", "designs.baseline_mm: values are from 10 to 1,000"),
         ("[designs]\nbaseline_mm = []", "designs.baseline_mm: Value should have at least 1 item"),
-        ("[designs]\nbaseline = [60]", "no such field; perhaps baseline_mm is meant"),
-        ("[extra]\na = 1", "extra: there is no such field"),
+        ("[designs]\nbaseline = [60]", "unknown field; perhaps baseline_mm is meant"),
+        ("[extra]\na = 1", "extra: unknown field"),
         ("[designs]\nviews = 'many'", "designs.views: Input should be a valid tuple; found 'many'"),
         ("[prices]\nfocal_px = 5", "prices.focal_px: Input should be a valid tuple; found 5"),
         (

@@ -20,7 +20,7 @@ from vergence.gaze.commands import (
     setpoint,
     setpoints_at,
 )
-from vergence.twin.model import load_spec
+from vergence.twin.scene import load_spec
 
 LIMITS = JointLimits()
 SEVEN = st.lists(st.floats(-2, 2), min_size=7, max_size=7).map(np.array)

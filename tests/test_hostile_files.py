@@ -55,12 +55,12 @@ def test_what_is_no_file_of_reasonable_size_is_refused(sound_files, name):
     kind = sound_files[name]
     leads_out = "leads out of the dataset's folder"
     for change, says in (
-        (os.mkfifo, "not a regular file|no such file"),
+        (os.mkfifo, "not a regular file"),
         (link_to("/dev/zero"), f"not a regular file|{leads_out}"),
-        (link_to("/dev/tty0"), f"not a regular file|{leads_out}|Cannot read|no such file"),
-        (link_to("nowhere"), "No such file|no such file|There is no"),
+        (link_to("/dev/tty0"), f"not a regular file|{leads_out}|Cannot read"),
+        (link_to("nowhere"), "No such file|is missing|There is no"),
         (lambda path: path.symlink_to(path.name), "Too many|There is no|not a possible file name"),
-        (Path.mkdir, "a folder|directory|regular file|no such file"),
+        (Path.mkdir, "a folder|directory|regular file"),
         (sparse, "too large"),
     ):
         assert re.search(says, sentence(kind, change)), change
@@ -74,32 +74,20 @@ def test_what_is_no_file_of_reasonable_size_is_refused(sound_files, name):
         b"\0" * 1000,
         b"\xff\xfe{\0}\0",
         b"[" * 200_000,
-        b"{" * 400,
         b'{"a":' * 20_000,
         b"a: " * 50_000,
         b"<a>" * 20_000,
-        b"a = " + b"[" * 60_000,
         b"a." * 30_000 + b"b = 1",
-        b"9" * 60_000,
         b"time_s," + b"9" * 60_000 + b"x",
-        b"\n" * 200_000,
         b'"' * 100_001,
         b"- " * 60_000,
-        b"? " * 60_000,
         b"!!int 1\n",
-        b"!!timestamp x\n",
-        b"!!binary x\n",
         b"!!python/object/apply:os.system [ls]\n",
-        b"--- a\n--- b\n",
         b"%YAML 9.9\n---\na: 1\n",
-        b"=" * 1000,
         b"null",
-        b"[[[]]]",
-        b"-",
         b"\xef\xbb\xbf",
-        "\u2028".encode() * 1000,
     ],
-    ids=range(28),
+    ids=range(16),
 )
 def test_text_that_is_none_of_these_files_is_refused(sound_files, name, content):
     if name == "profile" and content in (b"", b"\xef\xbb\xbf"):

@@ -71,7 +71,7 @@ CALIBRATIONS = {
     ),
     "less than or equal to 20000": put("cameras", "left_wide", "intrinsics", "width", value=10**9),
     "format": put("format", value="vergence-head-calibration-9"),
-    "there is no such field": put("cameras", "left_wide", "colour", value=True),
+    "unknown field": put("cameras", "left_wide", "colour", value=True),
 }
 
 

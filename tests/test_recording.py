@@ -21,7 +21,8 @@ from vergence.paper.figures import FIGURES
 from vergence.paper.recording import figure_recording, log_results
 from vergence.paper.replay import Measurements, Replay, describe
 from vergence.twin.appearance import VisualGeom, visual_geoms
-from vergence.twin.model import load_spec, model_folder, nominal_head
+from vergence.twin.model import nominal_head
+from vergence.twin.scene import load_spec, model_folder
 from vergence.viewer.recording import log_frame, log_report
 from vergence.viewer.shapes import lines_of_sight
 

@@ -45,7 +45,7 @@ def _describe(error: Any, kind: Any) -> str:
     if category in ("extra_forbidden", "unexpected_keyword_argument"):
         names = set(_fields(TypeAdapter(kind).json_schema())) if kind is not None else ()
         near = difflib.get_close_matches(str(error["loc"][-1]), sorted(names), n=1)
-        return "there is no such field" + (f"; perhaps {near[0]} is meant" if near else "")
+        return "unknown field" + (f"; perhaps {near[0]} is meant" if near else "")
     message = error["msg"].removeprefix("Value error, ")
     if category != "value_error" and not isinstance(value, Mapping):
         message += f"; found {value!r:.80}"

@@ -135,7 +135,7 @@ class Dataset:
         return max(8, -(-brightest.bit_length() // 2) * 2)
 
     def _decoded(self, camera: str, row: int) -> np.ndarray | None:
-        """Decode an image (H, W, 3), uint8 or uint16; None where there is none or it is damaged."""
+        """Decode an image (H, W, 3), uint8 or uint16; None if missing or damaged."""
         name, stated = self.files[camera][row], self.description.cameras[camera]
         if name is None:
             return None

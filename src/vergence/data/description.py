@@ -230,7 +230,7 @@ class Description:
 
 
 def _pan_and_tilt(stated: Mapping[str, DatasetJoint]) -> Kinematics:
-    """Make pan and tilt joints, of which some may share a column."""
+    """Make pan and tilt joints; some may share a column."""
     reading_of: dict[str, str] = {}  # by column
     for name in EYE_JOINTS:
         if name in stated:

@@ -105,7 +105,7 @@ def _image_files(
             if not path.is_relative_to(root):
                 raise VergenceError(f"{where} leads out of the dataset's folder.")
             if not is_file:
-                raise VergenceError(f"{where}: there is no such file.")
+                raise VergenceError(f"{where} is missing, or not a regular file.")
             if path in used:
                 raise VergenceError(f"{where} is also the image of {used[path]}.")
             used[path] = f"{camera} in line {line}"

@@ -27,11 +27,10 @@ from vergence.self_calibration.dense_pairs import (
 )
 from vergence.twin.calibration_sequence import straight_neck
 from vergence.twin.head import Twin
-from vergence.twin.looking_around import learn_by_looking
 from vergence.twin.model import check_calibration_of
 from vergence.twin.profile import ErrorProfile
 from vergence.twin.scene import Scene
-from vergence.twin.simulated_robot import calibrate_twin
+from vergence.twin.simulated_robot import calibrate_twin, learn_by_looking
 
 STEP_S = 9.0
 """Time between two pairs of the divergent motion [s]: no divisor of its periods."""

@@ -17,10 +17,9 @@ from vergence.gaze.state import GazeSettings
 from vergence.progress import Progress
 from vergence.self_calibration.calibrator import Geometry, VisualGeometry, initial_visual_geometry
 from vergence.twin.head import Twin
-from vergence.twin.looking_around import learn_by_looking
 from vergence.twin.profile import ErrorProfile
 from vergence.twin.scene import Scene
-from vergence.twin.simulated_robot import calibrate_twin
+from vergence.twin.simulated_robot import calibrate_twin, learn_by_looking
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance

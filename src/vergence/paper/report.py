@@ -17,9 +17,9 @@ from vergence.paper.comparison import PAPER
 from vergence.paper.replay import Replay, summaries
 from vergence.stereo.depth_error import depth_error, disparity_error
 from vergence.stereo.extrinsics import camera_poses
-from vergence.twin.looking_around import LOOK_S
 from vergence.twin.profile import ErrorProfile
 from vergence.twin.sensors import read
+from vergence.twin.simulated_robot import LOOK_S
 
 TITLE = "# Figs. 6-11"
 

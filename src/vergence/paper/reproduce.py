@@ -30,9 +30,9 @@ from vergence.twin.appearance import visual_geoms
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import paper_calibration
 from vergence.twin.head import Twin
-from vergence.twin.looking_around import learn_by_looking
 from vergence.twin.profile import ErrorProfile, Lens
 from vergence.twin.scene import Scene
+from vergence.twin.simulated_robot import learn_by_looking
 from vergence.viewer.recording import log_frame, log_report
 from vergence.viewer.seen import log_learned, log_matches
 

@@ -17,18 +17,15 @@ if sys.platform.startswith("linux"):
     if multiprocessing.parent_process() is not None:  # one of several, which share the cores:
         os.environ.setdefault("LP_NUM_THREADS", "0")  # Mesa takes no threads besides
 
-NO_OPENGL = (
-    "Rendering needs OpenGL, and MUJOCO_GL={backend} gave none ({reason}); install Mesa's drivers "
-    "(Debian: apt-get install libegl1 libgl1-mesa-dri), leave MUJOCO_GL unset or egl, and import "
-    "vergence.twin before mujoco."
-)
-
 
 def no_opengl(reason: object) -> VergenceError:
     """Make the error of a machine that cannot render."""
-    backend = os.environ.get("MUJOCO_GL", "(unset)")
     first_line = (str(reason) or type(reason).__name__).splitlines()[0]
-    return VergenceError(NO_OPENGL.format(backend=backend, reason=first_line))
+    return VergenceError(
+        f"Rendering needs OpenGL, and MUJOCO_GL={os.environ.get('MUJOCO_GL', '(unset)')} gave none "
+        f"({first_line}); install Mesa's drivers (Debian: apt-get install libegl1 "
+        "libgl1-mesa-dri), leave MUJOCO_GL unset or egl, and import vergence.twin before mujoco."
+    )
 
 
 try:

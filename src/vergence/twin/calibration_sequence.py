@@ -62,14 +62,9 @@ def plan(
     board: Board = BOARD,
     views: tuple[int, int, int] = (WIDE_VIEWS, NARROW_VIEWS, ORIENTATIONS),
 ) -> list[Shot]:
-    """Plan the views of a calibration sequence.
+    """Plan the views of a calibration sequence for a nominal head.
 
-    Args:
-        head: the nominal head.
-        seed: of the poses of the board.
-        board: the board to show.
-        views: numbers of views for the wide cameras, for each narrow camera, and of the board at
-            rest.
+    `views` are the numbers for the wide cameras, for each narrow camera, and of the board at rest.
     """
     wide_views, narrow_views, orientations = views
     rng = np.random.default_rng([seed, 4])

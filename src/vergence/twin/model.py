@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from importlib import resources
-from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -24,7 +22,7 @@ from vergence.geometry.kinematics import EYES, Kinematics, Side
 from vergence.geometry.neck import NECK_JOINTS, Neck
 from vergence.geometry.se3 import pose, rotation
 from vergence.twin.profile import ErrorProfile, Lens
-from vergence.twin.scene import Scene, load_scene
+from vergence.twin.scene import Scene, load_spec
 
 CAMERAS = ("left_wide", "right_wide", "left_narrow", "right_narrow")
 
@@ -36,17 +34,6 @@ DISTORTION: dict[Lens, tuple[float, ...]] = {
     "2.8mm": (-0.12, 0.02, 0.0005, -0.0005, 0.0),
     "4.0mm": (-0.09, 0.015, 0.0005, -0.0005, 0.0),
 }
-
-
-def model_folder() -> Path:
-    """Find the MJCF files, in the installed package or in the checkout."""
-    packaged = Path(str(resources.files("vergence"))) / "models" / "cbi_head"
-    return packaged if packaged.is_dir() else Path(__file__).parents[3] / "models" / "cbi_head"
-
-
-def load_spec(scene: Scene = "room") -> mujoco.MjSpec:
-    """Read a scene by its name: the head, a room, the calibration board, the object, the hand."""
-    return load_scene(model_folder(), scene)
 
 
 ANOTHER_HEAD = 0.1
@@ -201,14 +188,10 @@ def compile_head(
     scene: Scene = "room",
     furnish: Callable[[mujoco.MjSpec], None] | None = None,
 ) -> mujoco.MjModel:
-    """Compile the scene with the head as given.
+    """Compile a scene with an as-built head, whose lens distortion the renderer adds.
 
-    Args:
-        head: the as-built head, whose lens distortion the renderer adds.
-        overscan: by camera, the width and height [px] to render, at the camera's own focal
-            length; the image lies in the middle of it.
-        scene: the name of the scene.
-        furnish: changes the scene, for example its board.
+    `overscan` is the width and height [px] to render by camera, at the camera's own focal length;
+    the image lies in the middle of it. `furnish` changes the scene, for example its board.
     """
     spec = load_spec(scene)
     if furnish is not None:

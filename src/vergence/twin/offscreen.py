@@ -51,7 +51,9 @@ class Offscreen:
             self._opengl.make_current()
             for each in set(formats):
                 size.offwidth, size.offheight, quality.offsamples = each
-                self._buffers[each] = _buffer(model)
+                buffer = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+                buffer.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
+                self._buffers[each] = buffer
         except BaseException:
             self.close()
             raise
@@ -109,9 +111,3 @@ def _context() -> Any:  # the class depends on the backend
         if threading.current_thread() is threading.main_thread():
             atexit.register(_opened.context.free)  # before the backend closes the display
     return _opened.context
-
-
-def _buffer(model: mujoco.MjModel) -> mujoco.MjrContext:
-    made = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
-    made.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
-    return made

@@ -90,21 +90,10 @@ def record(
 ) -> int:
     """Record a dataset with its truth into a new or empty folder; return the number of images.
 
-    Args:
-        out: the folder.
-        profile: error profile of the twin.
-        scene: what the head looks at.
-        seed: of everything random.
-        frames: number of frames with the eyes at rest.
-        lens: of the wide cameras.
-        target: kind of calibration board.
-        moving: number of frames that follow, at RATE_HZ, with moving eyes and the board at rest.
-        kinematics: JSON file with the twin's `kinematics` and `readings` as in dataset.json; None:
-            pan, then tilt.
-        progress: is called after each frame.
-
-    Raises:
-        VergenceError: an argument is out of range, or the folder cannot be written.
+    `frames` are taken with the eyes at rest. `moving` frames follow, at RATE_HZ, with moving eyes
+    and the board at rest. `kinematics` is a JSON file with the twin's `kinematics` and `readings`
+    as in dataset.json; None: pan, then tilt. Progress is called after each frame. VergenceError if
+    an argument is out of range, or the folder cannot be written.
     """
     if not LEAST_FRAMES <= frames <= MOST_FRAMES:
         raise VergenceError(

@@ -3,6 +3,7 @@
 # pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
 
+from importlib import resources
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -45,14 +46,20 @@ BLACK, WHITE = 25, 235
 """Grey levels, as of the chessboard (models/cbi_head/assets/make_textures.py)."""
 
 
-def load_scene(folder: Path, scene: Scene) -> mujoco.MjSpec:
+def model_folder() -> Path:
+    """Find the MJCF files, in the installed package or in the checkout."""
+    packaged = Path(str(resources.files("vergence"))) / "models" / "cbi_head"
+    return packaged if packaged.is_dir() else Path(__file__).parents[3] / "models" / "cbi_head"
+
+
+def load_spec(scene: Scene = "room") -> mujoco.MjSpec:
     """Read a scene: the head, a room, the calibration board, the object and the hand.
 
-    VergenceError if there is no such scene, or it cannot be read.
+    VergenceError if the scene is unknown or cannot be read.
     """
     if scene not in _FILES:
         raise VergenceError(f"There is no scene {scene!r}; there are {', '.join(get_args(Scene))}.")
-    path = folder / _FILES[scene]
+    path = model_folder() / _FILES[scene]
     try:
         return mujoco.MjSpec.from_file(str(path))
     except ValueError as error:

@@ -17,12 +17,8 @@ from vergence.twin.profile import Joints
 def play(angles: Array, width: float | Array, start: Array | None = None) -> Array:
     """Simulate backlash: angles (T, J) [rad] on the sensor's side of a mechanical play.
 
-    After a reversal the eye crosses the whole width before the sensor follows.
-
-    Args:
-        angles: (T, J) true angles of the eye in order of time [rad].
-        width: full width of the play [rad], of all or of each (J,).
-        start: (J,) angle on the sensor's side before the first; None: the middle of the play.
+    After a reversal the eye crosses the whole width [rad] before the sensor follows. `start` (J,)
+    is the sensor's side before the first angle; None: the middle of the play.
     """
     sensed = np.empty_like(angles)
     last = angles[0] if start is None else start

@@ -1,16 +1,21 @@
-"""The twin as a robot that controllers drive: head, hand and object, and their true errors."""
+"""The twin as a robot that controllers drive: head, hand and object, and their true errors.
+
+Before an experiment it is calibrated, or learns its geometry from images of the room alone.
+"""
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo's compiled module has no type stubs.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from copy import copy
 
 import mujoco
 import numpy as np
 
+from vergence.accuracy.motions import SLOWEST_S
+from vergence.accuracy.motions import eye_angles as motion_angles
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.gaze.commands import (
@@ -29,8 +34,9 @@ from vergence.geometry.neck import NECK_JOINTS
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
 from vergence.progress import Progress, silent
+from vergence.self_calibration.calibrator import VisualGeometry, update_geometry
 from vergence.twin.calibration_errors import inject_calibration_error
-from vergence.twin.calibration_sequence import paper_calibration
+from vergence.twin.calibration_sequence import paper_calibration, straight_neck
 from vergence.twin.hand import SimulatedHand
 from vergence.twin.head import Twin
 from vergence.twin.sensors import gains_and_offsets, sensor_columns
@@ -39,6 +45,12 @@ FRAME_S = 0.033
 """Frame period: 30 Hz, in whole milliseconds, because the physics steps in them."""
 _REST_READINGS = 30
 """Readings at rest of each joint, from which the noise of all four is known to 7 %."""
+LOOK_S, LOOK_STEP_S = 5.0, 0.1
+"""Duration of looking around, and period of its images [s]."""
+FASTER = SLOWEST_S["divergent"] / LOOK_S
+"""Speed of the eyes relative to the paper's figures. Each joint passes through its range once, at
+45 degrees a second or less: new postures are more informative than more images."""
+_SETTLE_S = 1.0
 
 
 def calibrate_twin(twin: Twin, seed: int, progress: Progress = silent) -> GazeSettings:
@@ -61,6 +73,38 @@ def calibrate_twin(twin: Twin, seed: int, progress: Progress = silent) -> GazeSe
         limits=twin_limits(twin.truth.kinematics),
         joint_std_rad=float(np.hypot(floor, std)),
     )
+
+
+def look_times() -> Array:
+    """List the times (n,) [s] of the frames."""
+    return np.arange(0.0, LOOK_S, LOOK_STEP_S)
+
+
+def look_around(twin: Twin, cameras: Sequence[str], *, run: int) -> Iterator[Frame]:
+    """Yield frames of LOOK_S of quick divergent motion, in which vergence changes.
+
+    The number of the run determines the noise.
+    """
+    twin.restart(run)
+
+    def command(time_s: float) -> Array:
+        return straight_neck(motion_angles("divergent", FASTER * np.array(time_s - _SETTLE_S)))
+
+    twin.advance(_SETTLE_S / 2, command(_SETTLE_S))
+    for time_s in look_times():
+        twin.advance(round(_SETTLE_S + time_s, 3), command)
+        yield twin.capture(cameras)
+
+
+def learn_by_looking(
+    twin: Twin, geometry: VisualGeometry, *, run: int, progress: Progress = silent
+) -> VisualGeometry:
+    """Update a geometry while the twin looks around; see `look_around`."""
+    total = len(look_times())
+    for done, frame in enumerate(look_around(twin, geometry.state.cameras, run=run), start=1):
+        geometry = update_geometry(geometry, frame)
+        progress("looking around", done, total)
+    return geometry
 
 
 def twin_limits(kinematics: Kinematics) -> JointLimits:
@@ -102,13 +146,9 @@ class SimulatedHead:
     ):
         """Restart the twin; the number of the run determines the noise.
 
-        Args:
-            twin: the head.
-            run: number of the run.
-            path_head: position (3,) [m] of the object at a time, in frame head as it is at the
-                start; None: the object is hidden.
-            all_cameras_every: every Nth frame has the images of all cameras, recorded or not: an
-                observer must not change what the controller receives. 0: no frame has.
+        `path_head` gives the position (3,) [m] of the object at a time, in frame head as it is at
+        the start; None: the object is hidden. Every Nth frame has the images of all cameras,
+        recorded or not: an observer must not change what the controller receives. 0: no frame has.
         """
         self.twin, self.path_head = twin, path_head
         self._all_cameras_every = all_cameras_every
