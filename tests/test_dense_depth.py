@@ -28,7 +28,7 @@ from vergence.geometry.parameters import change_named
 from vergence.geometry.se3 import inverse, pose, transform
 from vergence.stereo.dense_depth import LEAST_STD_PX, dense_depth, point_cloud
 from vergence.stereo.rectification import RectifiedPair, rectify
-from vergence.twin import looking_around
+from vergence.twin import simulated_robot
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.model import as_built_head, check_calibration_of, nominal_head
 from vergence.twin.profile import Lens, load_profile
@@ -272,8 +272,8 @@ def test_depth_by_what_both_eyes_see_is_better_than_by_wrong_joints(tmp_path, mo
     """The head is known, but the readings have gains and noise."""
     calibration, profile = tmp_path / "true.json", load_profile("paper")
     save_head(as_built_head(nominal_head("2.8mm"), profile, 0), calibration)
-    monkeypatch.setattr(looking_around, "LOOK_S", 2.0)
-    monkeypatch.setattr(looking_around, "LOOK_STEP_S", 0.2)
+    monkeypatch.setattr(simulated_robot, "LOOK_S", 2.0)
+    monkeypatch.setattr(simulated_robot, "LOOK_STEP_S", 0.2)
     out = tmp_path / "depth"
     depth(
         monkeypatch, "--twin", "--calibration", str(calibration), "--geometry", "seen",

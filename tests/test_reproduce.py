@@ -20,7 +20,7 @@ from vergence.paper import reproduce as main_job
 from vergence.paper.figures import FIGURES
 from vergence.paper.replay import describe, estimate, sample_times
 from vergence.paper.reproduce import ReproductionSettings, reproduce
-from vergence.twin import looking_around
+from vergence.twin import simulated_robot
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import Shot, plan
 from vergence.twin.model import FOCAL_MM, as_built_head, nominal_head
@@ -168,7 +168,7 @@ def simulated_views(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("simulated_views", "coarse_images")
 @pytest.mark.render
 def test_methods_are_compared_on_the_same_images(tmp_path, monkeypatch):
-    monkeypatch.setattr(looking_around, "LOOK_S", 1.0)
+    monkeypatch.setattr(simulated_robot, "LOOK_S", 1.0)
     profile = load_profile("paper")
     settings = ReproductionSettings(tmp_path / "paper", (7,), profile, duration_s=9, rate_hz=1)
     reproduce(settings)
@@ -196,7 +196,7 @@ def test_methods_are_compared_on_the_same_images(tmp_path, monkeypatch):
 def test_figures_are_the_same_one_after_another_and_in_processes_of_their_own(
     tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(looking_around, "LOOK_S", 0.5)
+    monkeypatch.setattr(simulated_robot, "LOOK_S", 0.5)
     turns, beside = (tmp_path / name for name in ("turns", "beside"))
     profile, short = load_profile("paper"), {"duration_s": 1, "rate_hz": 2}
     settings = ReproductionSettings(turns, (6, 7), profile, seed=1, compare=True, **short)
