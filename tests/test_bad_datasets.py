@@ -160,11 +160,13 @@ def test_a_description_that_is_none_is_refused(folder, content):
 def test_what_is_missing_is_named(tmp_path, folder):
     assert "There is no dataset folder" in refusal(tmp_path / "none")
     assert "There is no dataset folder" in refusal(tmp_path / ("long" * 100))
-    assert "dataset.json is a file; a dataset is a folder with" in refusal(folder / "dataset.json")
+    assert "dataset.json: a dataset is a folder with dataset.json and frames" in refusal(
+        folder / "dataset.json"
+    )
     (folder / "frames.csv").unlink()
-    assert "There is no frames.csv in" in refusal(folder)
+    assert "frames.csv: No such file" in refusal(folder)
     (folder / "dataset.json").unlink()
-    assert f"There is no dataset.json in the folder {str(folder)!r}." in refusal(folder)
+    assert "dataset.json: No such file" in refusal(folder)
 
 
 def test_a_neck_that_moves_while_the_board_is_said_to_rest_is_noticed(folder):

@@ -25,8 +25,6 @@ TIME, JOINT_TIME, PLACEMENT, MOVING = "time_s", "joint_time_s", "placement", "mo
 """Columns of frames.csv other than joints, poses and cameras."""
 MAX_SQUARE_M = 1.0
 """Largest side of a square [m]: larger ones are millimetres; boards of unknown size have 1."""
-JOINTS: tuple[str, ...] = (*EYE_JOINTS, *NECK_JOINTS)
-"""Joints that need no kinematics."""
 _STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
 _Pixels = Annotated[int, Field(gt=0, le=MAX_IMAGE_PX, strict=True)]
 
@@ -143,9 +141,10 @@ class Description:
                 "board.columns and board.rows count inner corners, 3 to 100 each; found "
                 f"{sides[0]} x {sides[1]}"
             )
+        joints = *EYE_JOINTS, *NECK_JOINTS
         for name in self.joints:
-            if name not in JOINTS:
-                yield f"joints.{name}: expected one of {', '.join(JOINTS)}"
+            if name not in joints:
+                yield f"joints.{name}: expected one of {', '.join(joints)}"
         yield from self._contradictory_motion()
         name, uses = Counter(self.columns).most_common(1)[0]
         if uses > 1 or not all(name.strip() for name in self.columns):

@@ -40,15 +40,11 @@ def load_dataset(folder: str | Path) -> Dataset:
             the field or line.
     """
     folder = Path(folder)
-    if os.path.isfile(folder):  # methods of Path raise where a name is too long
+    if not os.path.isdir(folder):  # methods of Path raise where a name is too long
         raise VergenceError(
-            f"{folder} is a file; a dataset is a folder with {DESCRIPTION} and {FRAMES}."
+            f"There is no dataset folder {folder}: a dataset is a folder with {DESCRIPTION} and "
+            f"{FRAMES}."
         )
-    if not os.path.isdir(folder):
-        raise VergenceError(f"There is no dataset folder {folder}.")
-    for name in (DESCRIPTION, FRAMES):
-        if not os.path.exists(folder / name):
-            raise VergenceError(f"There is no {name} in the folder {str(folder)!r}.")
     description = read_parsed(
         folder / DESCRIPTION,
         "a description of a dataset",

@@ -40,13 +40,13 @@ class Timing:
 
 @dataclass(frozen=True, eq=False)
 class Stencil:
-    """The polynomials around each of N samples, as weights of its W neighbours."""
+    """Polynomials around each of N samples, as weights of its W neighbours."""
 
     neighbours: np.ndarray
-    """(N, W) which samples."""
+    """(N, W) indices of samples."""
     weights: Array
-    """(N, W, TRAJECTORY_DEGREE): the values of the neighbours, times these, are the coefficients of
-    s, s^2, ... of what is to be added to the sample's own value s seconds later; 0 at rest."""
+    """(N, W, TRAJECTORY_DEGREE): times the neighbours' values they are the coefficients of s, s^2,
+    ... in the change after s seconds; 0 at rest."""
 
 
 def stencil(time_s: Array, run: np.ndarray, wanted: np.ndarray | None = None) -> Stencil:

@@ -144,12 +144,10 @@ def evaluate(head: HeadCalibration, truth: Truth) -> Evaluation:
     regions: dict[str, Region] = {}
     if head.accuracy is not None:
         names, covariance = head.accuracy.parameters, head.accuracy.covariance
-        for k, name in enumerate(names):
-            std = float(np.sqrt(covariance[k, k]))
-            within = _region(np.array([errors[name]]), covariance[k : k + 1, k : k + 1])
-            parameters[name] = ParameterError(
-                errors[name], std, errors[name] / std, within.holds_truth
-            )
+        for name, std in zip(names, np.sqrt(np.diag(covariance)).tolist(), strict=True):
+            score = errors[name] / std
+            within = bool(score**2 <= chi2.ppf(REGION, 1))
+            parameters[name] = ParameterError(errors[name], std, score, within)
         groups: dict[str, list[int]] = {}
         for k, name in enumerate(names):
             groups.setdefault(name.rpartition(".")[0] or name, []).append(k)
