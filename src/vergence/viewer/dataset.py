@@ -45,14 +45,11 @@ def record_dataset(
     VergenceError if the file cannot be written.
     """
     head, estimate, corners = result.head, result.estimate, result.observations.corners
-    residuals, magnification = {}, None
-    eyes = result.observations.eye_poses(head)
+    residuals, eyes = {}, result.observations.eye_poses(head)
     if estimate is not None:
         residuals = estimate.residuals_px
-        relative = 12 / max(estimate.pixel_std_px, 1e-6)  # drawn with 4 to 38 px
-        magnification = int(10 ** max(0, round(np.log10(relative))))
         eyes = np.where(np.isfinite(estimate.T_base_eye), estimate.T_base_eye, eyes)
-    with recording_file(path, "dataset", dataset_blueprint(head, magnification), head) as rec:
+    with recording_file(path, "dataset", dataset_blueprint(head), head) as rec:
         if estimate is not None:
             rec.log("world/board/shape", _outline(result.observations.board), static=True)
         time_s = dataset.time_s - dataset.time_s[0]
@@ -65,12 +62,9 @@ def record_dataset(
                 T = estimate.T_lbase_target.get(int(dataset.placement[row]))
                 rec.log("world/board", rr.Clear(recursive=False) if T is None else placed(T))
             for name, entity in camera_entities(head).items():
-                offset = None
-                if magnification is not None and name in residuals:
-                    offset = magnification * residuals[name][row]
-                _log_view(
-                    rec, entity, dataset.readable_image(name, row), corners[name][row], offset
-                )
+                offset = style.MAGNIFICATION * residuals[name][row] if name in residuals else None
+                image = dataset.readable_image(name, row)
+                _log_view(rec, entity, image, corners[name][row], offset)
             progress("writing the report", row + 1, len(dataset))
         curves = {f"residual/{name}": rms_by_view(errors) for name, errors in residuals.items()}
         if dataset.T_base_eye is None:
@@ -116,7 +110,5 @@ def _log_view(
 
 def rms_by_view(errors: Array) -> Array:
     """Compute the root mean square (V,) [px] of residuals (V, K, 2); NaN: no corner is seen."""
-    squares = (errors**2).sum(axis=2)
-    seen = np.isfinite(squares)
-    total = np.where(seen, squares, 0.0).sum(axis=1)
-    return np.where(seen.any(axis=1), np.sqrt(total / np.maximum(seen.sum(axis=1), 1)), np.nan)
+    squares = np.ma.masked_invalid((errors**2).sum(axis=2))
+    return np.ma.sqrt(squares.mean(axis=1)).filled(np.nan)

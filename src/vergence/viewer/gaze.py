@@ -128,7 +128,7 @@ def _log_axes(
     """Record the axes of the narrow cameras, up to the object's distance where that is known."""
     strips = []
     for T in _narrow_cameras(settings, readings).values():
-        length = style.AXIS_M
+        length = 1.0
         if state.track is not None:
             length = float(np.linalg.norm(state.track.position - T[:3, 3]))
         strips.append([T[:3, 3], T[:3, 3] + length * T[:3, 2]])

@@ -81,15 +81,10 @@ def hidden(head: HeadCalibration, *marks: str) -> tuple[str, ...]:
 
 
 def camera_views(head: HeadCalibration, *, marks: str) -> rrb.Grid:
-    """Show the cameras, the widest of each eye first; titles explain the marks."""
-
-    def narrowness(name: str) -> float:
-        camera = head.camera(name).intrinsics
-        return float(camera.matrix[0, 0] / camera.width)
-
+    """Show the cameras, a column for each eye; titles explain the marks."""
     views, entities = [], camera_entities(head)
-    by_eye = [sorted(cameras_of(head, eye), key=narrowness) for eye in EYES]
-    for name in filter(None, chain.from_iterable(zip_longest(*by_eye))):
+    by_eye = zip_longest(*(cameras_of(head, eye) for eye in EYES))
+    for name in filter(None, chain.from_iterable(by_eye)):
         camera = head.camera(name).intrinsics
         bounds = rrb.VisualBounds2D(x_range=(0, camera.width), y_range=(0, camera.height))
         title = f"{name.replace('_', ' ')}: {marks}"
@@ -128,11 +123,9 @@ def playing(
     return rrb.Blueprint(views, panel, auto_views=False, collapse_panels=True)
 
 
-def dataset_blueprint(head: HeadCalibration, magnification: int | None) -> rrb.Blueprint:
-    """Lay out a calibrated dataset; None: it has no residuals, which would be magnified."""
-    marks = "dots: corners"
-    if magnification is not None:
-        marks += f", lines: residuals x {magnification}"
+def dataset_blueprint(head: HeadCalibration) -> rrb.Blueprint:
+    """Lay out a calibrated dataset."""
+    marks = f"dots: corners, lines: residuals x {style.MAGNIFICATION}"
     space = view_3d(
         "estimated poses of eyes and board",
         middle=np.array([0.35, -0.04, 0.0]),
@@ -172,9 +165,10 @@ def gaze_blueprint(
     space = view_3d(
         f"{title}: head, axes of the narrow cameras, estimate and truth",
         middle=middle,
-        eye=middle + (0.15 + 0.75 * reach_m) * style.BEHIND_SHOULDER,
+        # Above and behind the left shoulder, from where the eyes' axes are seen to meet.
+        eye=middle + (0.15 + 0.75 * reach_m) * np.array([-0.45, 0.75, 0.50]),
         contents=("- world/board/**", *hidden(head, "detected", "truth", "aim", "matches")),
-        trails=dict.fromkeys(("world/gaze/trail", "world/gaze/hand_trail"), style.GAZE_TRAIL_S),
+        trails=dict.fromkeys(("world/gaze/trail", "world/gaze/hand_trail"), 4.0),
     )
     marks = "long cross target, + found, ○ truth" + (", dots matched" if seen else "")
     lines = "blue fused, grey one frame" + (", pale by the joints" if seen else "")
@@ -188,7 +182,7 @@ def gaze_blueprint(
             "object from the centre of the narrow images [px], cut off: orange left eye, teal "
             "right",
             "gaze_error",
-            axis_y=rrb.ScalarAxis(range=(0, style.GAZE_ERROR_PX), zoom_lock=True),
+            axis_y=rrb.ScalarAxis(range=(0, 50), zoom_lock=True),  # saccades have larger errors
         ),
         plot("position in the body [m], pale truth: x (depth) blue, y green, z red", "position"),
         errors,

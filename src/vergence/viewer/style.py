@@ -49,13 +49,8 @@ STATE_COLOURS = {
     "lost": (200, 30, 60),
 }
 AIM, HAND = (255, 255, 255, 110), (170, 40, 150)
-AXIS_M = 1.0
-"""Drawn length of a narrow camera's axis while the object's distance is unknown."""
-GAZE_TRAIL_S = 4.0
-GAZE_ERROR_PX = 50.0
-"""Range of the plot of the gaze error [px]; larger errors occur only during saccades."""
-BEHIND_SHOULDER = np.array([-0.45, 0.75, 0.50])
-"""Direction from above and behind the left shoulder, from which the eyes' axes are seen to meet."""
+MAGNIFICATION = 100
+"""Drawn length of a residual over its own: usual residuals of 0.1 px are seen."""
 
 
 def html(rgb: tuple[int, int, int]) -> str:

@@ -12,6 +12,7 @@ from vergence.arrays import Array
 from vergence.calibration.lens_map import LensMap
 from vergence.errors import counted
 from vergence.viewer.plots.canvas import BLUE, GREEN, RED, image_frame, label, panels, save
+from vergence.viewer.style import MAGNIFICATION
 
 SIGNIFICANT = 4.0
 """Standard errors from which a mean residual is marked: among 108 cells noise alone reaches 3."""
@@ -73,13 +74,14 @@ def save_residuals(
 
 
 def save_views(path: Path, shown: Mapping[str, tuple[np.ndarray, Array, Array]]) -> None:
-    """Draw images with corners (K, 2), and residuals (K, 2) [px] as arrows, magnified 100 times."""
-    canvas, grid = panels(len(shown), "The worst views; arrows: residuals x 100")
+    """Draw images with corners (K, 2), and residuals (K, 2) [px] as magnified arrows."""
+    title = f"The worst views; arrows: residuals x {MAGNIFICATION}"
+    canvas, grid = panels(len(shown), title)
     for axes, (title, (image, corners, errors)) in zip(grid, shown.items(), strict=True):
         axes.imshow(image)
         axes.plot(*corners.T, "+", markersize=4, color=GREEN)
         seen = np.asarray(np.isfinite(errors).all(axis=1))
-        _arrows(axes, corners[seen], 100 * errors[seen], width=0.003, color=RED)
+        _arrows(axes, corners[seen], MAGNIFICATION * errors[seen], width=0.003, color=RED)
         axes.set_axis_off()
         axes.set_title(title, fontsize=10, loc="left")
     save(canvas, path)
