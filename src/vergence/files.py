@@ -183,7 +183,6 @@ def whole_folder(folder: Path) -> Iterator[Path]:
     with _writing(folder), _replaced(folder) as part:
         part.mkdir()
         yield part
-        check_new(folder)
     finished_files.append(folder)
 
 
