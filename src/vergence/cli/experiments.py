@@ -215,17 +215,12 @@ def depth(
             source = nullcontext(dataset_depth(vg.load_dataset(dataset), head, pairs, geometry))
         else:
             from vergence.demos.depth import twin_depth
+            from vergence.demos.experiment import Experiment
             from vergence.twin.profile import load_profile
 
-            source = twin_depth(
-                head,
-                profile=load_profile(options.profile),
-                scene=options.scene,
-                seed=options.seed,
-                pairs=pairs,
-                geometry=geometry,
-                progress=progress,
-            )
+            profile = load_profile(options.profile)
+            twin_settings = Experiment(profile, options.seed, options.scene, geometry)
+            source = twin_depth(head, twin_settings, pairs, progress)
         with source as sequence:
             report = write_depth(out, sequence, progress)
     files = f"To view the recording: {invocation('rerun', out / 'depth.rrd')}"

@@ -13,7 +13,7 @@ import numpy as np
 
 from vergence.accuracy.motions import eye_angles
 from vergence.demos.depth_errors import DepthTruth, PairErrors, depth_errors, pooled
-from vergence.demos.experiment import LOOKING
+from vergence.demos.experiment import LOOKING, Experiment
 from vergence.gaze.commands import EYE_READINGS
 from vergence.geometry.head import HeadCalibration, pair_names
 from vergence.progress import Progress
@@ -28,8 +28,6 @@ from vergence.self_calibration.dense_pairs import (
 from vergence.twin.calibration_sequence import straight_neck
 from vergence.twin.head import Twin
 from vergence.twin.model import check_calibration_of
-from vergence.twin.profile import ErrorProfile
-from vergence.twin.scene import Scene
 from vergence.twin.simulated_robot import calibrate_twin, learn_by_looking
 
 STEP_S = 9.0
@@ -38,38 +36,22 @@ STEP_S = 9.0
 
 @contextmanager
 def twin_depth(
-    calibration: HeadCalibration | None,
-    *,
-    profile: ErrorProfile,
-    scene: Scene,
-    seed: int,
-    pairs: int,
-    geometry: Geometry,
-    progress: Progress,
+    calibration: HeadCalibration | None, experiment: Experiment, pairs: int, progress: Progress
 ) -> Iterator[DepthSequence]:
     """Compute dense depth over the divergent motion of a twin, in a `with` block.
 
-    Args:
-        calibration: of the head; None: the twin is calibrated first, by the paper's method.
-        profile: of the twin.
-        scene: that the twin looks at.
-        seed: of everything random.
-        pairs: number of pairs.
-        geometry: by which the pairs are rectified; for "seen" the twin looks around first.
-        progress: is called after each view of a calibration.
-
-    Raises:
-        VergenceError: the calibration is of another head.
+    Without a calibration the twin is calibrated first, by the paper's method. With the geometry
+    "seen" it looks around first. VergenceError if the calibration is of another head.
     """
-    with Twin(profile, seed=seed, scene=scene) as twin:
+    with Twin(experiment.profile, seed=experiment.seed, scene=experiment.scene) as twin:
         joint_std_rad = None
         if calibration is None:
-            settings = calibrate_twin(twin, seed, progress)
+            settings = calibrate_twin(twin, experiment.seed, progress)
             calibration, joint_std_rad = settings.calibration, settings.joint_std_rad
         else:
             check_calibration_of(twin.truth, calibration)
         errors: dict[str, list[PairErrors]] = defaultdict(list)
-        found = _pairs(twin, calibration, pairs, geometry, joint_std_rad, errors)
+        found = _pairs(twin, calibration, pairs, experiment.geometry, joint_std_rad, errors)
         yield DepthSequence(
             calibration,
             found,
