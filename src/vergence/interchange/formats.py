@@ -20,7 +20,7 @@ def export_head(head: HeadCalibration, path: Path | str, format_name: ExportForm
     """Write a head in another program's format; ros writes a folder, the others a file.
 
     Raises:
-        VergenceError: there is no such format, the head has a property for which it has no field,
+        VergenceError: the format is unknown, the head has a property for which it has no field,
             or the path cannot be written.
     """
     _check_format(format_name, get_args(ExportFormat))
@@ -40,7 +40,7 @@ def import_head(
         template: a head that supplies what the file does not hold; needed for kalibr and ros.
 
     Raises:
-        VergenceError: there is no such format, the file cannot be read, or a template is needed and
+        VergenceError: the format is unknown, the file cannot be read, or a template is needed and
             there is none.
     """
     _check_format(format_name, get_args(ImportFormat))

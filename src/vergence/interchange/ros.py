@@ -74,7 +74,7 @@ def _plain(value: Any) -> Any:
 def load(path: Path) -> dict[str, Camera]:
     """Read a camera_info file, or all *.yaml files of a folder; cameras by their camera_name.
 
-    VergenceError if there is no such file, it is not a camera_info, or two have one name.
+    VergenceError if a file is missing or not a camera_info, or two have one name.
     """
     if os.path.exists(path / UNFINISHED):
         raise VergenceError(
