@@ -74,6 +74,8 @@ def template_detector(
         for rows, columns in windows(searched, near):
             match = _best(searched[rows, columns], templates)
             if match is not None and match.score >= least_score:
+                if len(templates) > 1:
+                    match = _refine_size(searched[rows, columns], grey, match)
                 h, w = match.template.shape
                 to_middle = np.array([columns.start + (w - 1) / 2, rows.start + (h - 1) / 2])
                 return Detection(match.corner + to_middle, _std_px(match))
@@ -118,18 +120,47 @@ def _best(image: np.ndarray, templates: Sequence[np.ndarray]) -> _Match | None:
     The search is in an image reduced so far that the template's sides keep eight pixels.
     """
     reduced = {octaves: _reduced(image, octaves) for octaves in set(map(_octaves, templates))}
-    matches: list[_Match] = []
+    matches = []
     for template in templates:
-        octaves, (h, w) = _octaves(template), template.shape
+        octaves = _octaves(template)
         coarse = _match(reduced[octaves], _reduced(template, octaves))
         if coarse is not None:
-            radius = 2**octaves + 1
-            u, v = (2**octaves * coarse.corner).round().astype(int)
-            u0, v0 = max(u - radius, 0), max(v - radius, 0)
-            fine = _match(image[v0 : v + h + radius, u0 : u + w + radius], template)
-            if fine is not None:
-                matches.append(replace(fine, corner=fine.corner + np.array([u0, v0])))
-    return max(matches, key=lambda match: match.score, default=None)
+            step = 2**octaves
+            matches.append(_match_near(image, template, step * coarse.corner, step + 1))
+    found = [match for match in matches if match is not None]
+    return max(found, key=lambda match: match.score, default=None)
+
+
+def _refine_size(image: np.ndarray, picture: np.ndarray, match: _Match) -> _Match:
+    """Interpolate the size at which a picture resembles the image (H, W) most, near a match.
+
+    With a wrong size the parts of an uneven picture shift its centre. The best size is at the peak
+    of a parabola through the scores of three sizes.
+    """
+    h, w = match.template.shape
+
+    def resized(power: float) -> _Match | None:
+        size = [round(1.1**power * side) for side in (w, h)]  # half the step of the scales
+        corner = match.corner + (np.array([w, h]) - size) / 2
+        return _match_near(image, _resized(picture, size), corner, 2)
+
+    smaller, larger = resized(-1.0), resized(1.0)
+    if smaller is None or larger is None:
+        return match
+    best = resized(_vertex(np.array([smaller.score, match.score, larger.score])))
+    candidates = [each for each in (match, smaller, larger, best) if each is not None]
+    return max(candidates, key=lambda each: each.score)
+
+
+def _match_near(
+    image: np.ndarray, template: np.ndarray, corner: Array, radius: int
+) -> _Match | None:
+    """Find the best match with its corner (2,) [px] near a given one; None: it does not fit."""
+    h, w = template.shape
+    u, v = corner.round().astype(int)
+    u0, v0 = max(u - radius, 0), max(v - radius, 0)
+    match = _match(image[v0 : v + h + radius, u0 : u + w + radius], template)
+    return None if match is None else replace(match, corner=match.corner + np.array([u0, v0]))
 
 
 def _match(image: np.ndarray, template: np.ndarray) -> _Match | None:
