@@ -159,8 +159,8 @@ def test_images_that_show_too_little_of_a_board_or_number_it_otherwise_are_left_
     assert_within_stated(found, head)
     assert np.isnan(found.T_base_eye[5]).all()
     first, second = texts(found.findings)
-    assert first.startswith("Views 5 were left out")
-    assert second.startswith(f"Views {view} of left_wide were left out")
+    assert first.endswith("enough corners; left out: view 5.")
+    assert second.endswith(f"is wrong; left out: view {view} of left_wide.")
 
 
 def test_a_missing_reading_and_a_name_that_is_no_parameter_are_refused():

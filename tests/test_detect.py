@@ -302,17 +302,6 @@ def test_a_sharp_image_of_little_contrast_on_most_of_it_is_not_called_blurred():
     assert "blurred" in detect_or_explain(moved, CHESSBOARD)[1]
 
 
-def test_a_camera_that_sees_no_board_is_remarked(tmp_path):
-    image, _ = picture(CHARUCO, held(0), (280, 240))
-    noise = np.random.default_rng(1).integers(0, 255, (240, 280), dtype=np.uint8)
-    table = rows(1)
-    images = {table[0]["left_wide"]: image, table[0]["right_wide"]: noise}
-    write_dataset(tmp_path / "set", table, description(CHARUCO, (280, 240)), images)
-    found = detect_target(load_dataset(tmp_path / "set"))
-    blind, _ = found.findings
-    assert blind.sentence == "right_wide never sees the board."
-
-
 def test_detection_does_not_depend_on_the_number_of_threads(folder, monkeypatch):
     dataset = load_dataset(folder)
     many = detect_target(dataset)

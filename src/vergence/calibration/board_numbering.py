@@ -273,13 +273,8 @@ def _relative(
 
     Each link proposes a Y for each k, and each Y is judged by all links. Returns Y and the cost
     (P, n) [nats] of each k with the Y that then suits the other placements best.
-
-    Args:
-        A: (L, 3, 3) boards in the frame in which they are placed.
-        B: (L, 3, 3) the same boards in the frame that is sought.
-        group: (L,) placement of each link, from 0 to P - 1.
-        S: (n, 3, 3) symmetries of the board.
-        most_rad: largest possible angle of Y; pi: no limit.
+    A and B (L, 3, 3) are the boards in the frame in which they are placed, and in the sought one;
+    group (L,) is their placement, from 0 to P - 1. Y turns by most_rad at most.
     """
     between = np.einsum("lab,nbc,ldc->lnad", A, np.swapaxes(S, 1, 2), B, optimize=True)
     chosen = np.unique(np.linspace(0, len(A) - 1, 5 * MOST_PAIRED).astype(int))

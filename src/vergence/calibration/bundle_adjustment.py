@@ -1,11 +1,8 @@
 """One estimate of a whole head, with a covariance that can be believed.
 
-The paper solves step after step and takes joint readings as exact. Here the true joint angles of
-every view are unknowns of their own, tied to their readings by the joint noise while the corners
-are tied by the pixel noise; both levels of noise are estimated from the same data. The result is
-the maximum a posteriori, its covariance, and findings on what the data cannot determine.
-
-`residuals` has the measurements, `bundle_start` the start, `estimation` the solver.
+The paper takes joint readings as exact. Here the true joint angles of every view are unknowns, and
+the noise of readings and of corners is estimated as well. `residuals` has the measurements,
+`bundle_start` the start, `estimation` the solver.
 """
 
 from __future__ import annotations
@@ -147,7 +144,7 @@ def bundle_adjust(
         points: (K, 3) corners in frame target [m]; None: those of the board.
         fixed: names of parameters that keep their start; None: fixed_by_default.
         noise: what is known of it.
-        priors: other measurements of the head, such as `residuals.EyeDistance`.
+        priors: other measurements of the head, such as `priors.EyeDistance`.
 
     Raises:
         VergenceError: an unknown parameter is named, joint_std is that of other readings, a reading
@@ -231,7 +228,7 @@ def _estimate(
             scales = measured.noise_scale[detections.camera == k]
             rms = np.sqrt(np.mean(scales**2)) if len(scales) else 1.0
             camera_px[name] = pixel_px * float(rms)
-    findings = BundleFindings(problem, found, levels, systematic)
+    findings = BundleFindings(observations, problem, found, levels, systematic)
     assumed_px = measured.systematic_px if isinstance(measured, Reprojection) else 0.0
     return BundleEstimate(
         head=replace(x["head"], neck=start.neck),
@@ -249,7 +246,7 @@ def _estimate(
         board_scale=x["board_scale"],
         T_base_eye=T_base_eye,
         residuals_px=_residuals(problem, found, len(T_base_eye)),
-        findings=findings.all(observations),
+        findings=findings.all(),
         levels=found.levels,
     )
 

@@ -44,27 +44,23 @@ SENSE = 6.0
 
 _WORDS = {f"r{axis}": f"rotation about {axis}" for axis in "xyz"}
 _WORDS |= {f"t{axis}": f"translation along {axis}" for axis in "xyz"}
-_UNCONVERGED = (
-    "The estimate did not converge, as where no head of this description fits the data, or the "
-    "eyes turn too little to tell: check the description of the joints, the order of their "
-    "readings, the lens models (`lens`), and the size of the board; let the eyes turn farther."
-)
 
 
 @dataclass(frozen=True, eq=False)
 class BundleFindings:
     """A bundle adjustment, as findings look at it."""
 
+    observations: Observations | PoseObservations
     problem: BundleProblem
     found: Adjustment
     levels: Sequence[Level]
     systematic_px: Mapping[str, float]
 
-    def all(self, observations: Observations | PoseObservations) -> tuple[Finding, ...]:
+    def all(self) -> tuple[Finding, ...]:
         """List everything that the reader of a result must know, the most severe first."""
         parts = (
             _doubtful(self),
-            _left_out(self, observations),
+            _left_out(self),
             _unobservable(self),
             _noise(self),
             _noisy_readings(self),
@@ -99,15 +95,21 @@ class BundleFindings:
 
 
 def _doubtful(of: BundleFindings) -> Iterator[Finding]:
-    """Report an estimate that must not be used."""
+    """Report an estimate that must not be used.
+
+    It did not converge, or a reading moves so little before boards at rest that the sense of the
+    motion is uncertain.
+    """
     if not of.found.converged:
-        yield void("not-converged", _UNCONVERGED)
-    if not of.poses_read:
-        yield from _doubtful_senses(of)
-
-
-def _doubtful_senses(of: BundleFindings) -> Iterator[Finding]:
-    """Name readings whose motion before boards at rest is so small that its sense is uncertain."""
+        sentence = (
+            "The estimate did not converge, as where no head of this description fits the data, or "
+            "the eyes turn too little to tell: check the description of the joints, the order of "
+            "their readings, the lens models (`lens`), and the size of the board; let the eyes "
+            "turn farther."
+        )
+        yield void("not-converged", sentence)
+    if of.poses_read:
+        return
     detections, postures = of.problem.measured.detections, of.problem.readings.postures
     posture, board = np.unique([detections.posture, detections.board], axis=1)
     eye = postures.eye[posture]
@@ -129,33 +131,28 @@ def _doubtful_senses(of: BundleFindings) -> Iterator[Finding]:
                 yield void("doubtful-sense", sentence, name)
 
 
-def _left_out(
-    of: BundleFindings, observations: Observations | PoseObservations
-) -> Iterator[Finding]:
+def _left_out(of: BundleFindings) -> Iterator[Finding]:
     """Name cameras without boards, and views that are of no use or contradict the others."""
-    detections = of.problem.measured.detections
-    if isinstance(observations, PoseObservations):
-        images = observations.T_cam_target
-    else:
-        images = observations.corners
+    detections, seen = of.problem.measured.detections, of.observations
+    images = seen.T_cam_target if isinstance(seen, PoseObservations) else seen.corners
     for c, name in enumerate(detections.cameras):
         if c not in detections.camera:
-            yield warning("blind-camera-kept", f"{name} sees no board, and keeps its start.", name)
-    seen = np.any([np.isfinite(each).any(axis=(1, 2)) for each in images.values()], axis=0)
-    lost = np.setdiff1d(np.flatnonzero(seen), detections.views)
+            yield warning("blind-camera", f"{name} sees no board, and keeps its start.", name)
+    shown = np.any([np.isfinite(each).any(axis=(1, 2)) for each in images.values()], axis=0)
+    lost = np.setdiff1d(np.flatnonzero(shown), detections.views)
     if len(lost):
-        views = ", ".join(map(str, lost))
-        sentence = f"Views {views} were left out: no image of these boards shows enough corners."
-        yield warning("few-corners", sentence, f"views {views}")
+        where = ", ".join(map(seen.name_of_view, lost))
+        sentence = f"No image of these boards shows enough corners; left out: {where}."
+        yield warning("few-corners", sentence, where)
     for c, name in enumerate(detections.cameras):
         lost = detections.views[of.problem.contradicting & (detections.camera == c)]
         if len(lost):
-            where = f"{', '.join(map(str, np.sort(lost)))} of {name}"
+            where = f"{', '.join(map(seen.name_of_view, np.sort(lost)))} of {name}"
             sentence = (
-                f"Views {where} were left out: they show the board turned against its other "
-                "views, as when it is numbered from the wrong end, or one of few corners is wrong."
+                "These show the board turned against its other views, as when it is numbered from "
+                f"the wrong end, or one of few corners is wrong; left out: {where}."
             )
-            yield warning("turned-views", sentence, f"views {where}")
+            yield warning("turned-views", sentence, where)
 
 
 def _unobservable(of: BundleFindings) -> Iterator[Finding]:
@@ -265,15 +262,16 @@ def _lost_corners(of: BundleFindings) -> Iterator[Finding]:
     views = measured.detections.views
     by_view, seen = np.bincount(views, lost), np.bincount(views, measured.seen.sum(axis=1))
     worst = int(by_view.argmax())
+    where = of.observations.name_of_view(worst)
     if lost.sum() <= LOST * seen.sum() and by_view[worst] <= seen[worst] / 2:
         return
     what = "corners" if isinstance(measured, Reprojection) else "numbers of measured poses"
     sentence = (
         f"{lost.sum()} of {int(seen.sum())} {what} lie beyond 4 standard deviations and lost their "
-        f"weight, {by_view[worst]:.0f} of them in view {worst}: the board may have moved, or the "
+        f"weight, {by_view[worst]:.0f} of them in {where}: the board may have moved, or the "
         "image may be blurred."
     )
-    yield warning("outlying-corners", sentence, f"view {worst}")
+    yield warning("outlying-corners", sentence, where)
 
 
 def _lost_readings(of: BundleFindings) -> Iterator[Finding]:
@@ -297,8 +295,9 @@ def _lost_readings(of: BundleFindings) -> Iterator[Finding]:
                 "degrees"
                 for k in np.flatnonzero(off[b])
             ])  # fmt: skip
-        view = f"view {postures.view[b]}"
-        yield warning("outlying-reading", f"V{view[1:]}: {what}, and lost its weight.", view)
+        where = of.observations.name_of_view(int(postures.view[b]))
+        sentence = f"{where.capitalize()}: {what}, and lost its weight."
+        yield warning("outlying-reading", sentence, where)
     if len(rows) > MOST_NAMED:
         rest = f"Readings of {counted(len(rows) - MOST_NAMED, 'more posture')} lost their weight."
         yield warning("outlying-reading", rest)

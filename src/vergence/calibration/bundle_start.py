@@ -17,7 +17,6 @@ from vergence.calibration.priors import (
     head_block,
     lens_priors,
 )
-from vergence.calibration.read_motion import read_motion
 from vergence.calibration.residuals import (
     TARGET_SHIFTS,
     TARGET_TURNS,
@@ -29,7 +28,14 @@ from vergence.calibration.residuals import (
     Reprojection,
     TargetPoses,
 )
-from vergence.data.timing import stencil
+from vergence.data.timing import (
+    TRAJECTORY_DEGREE,
+    Stencil,
+    Timing,
+    coefficients,
+    pose_coefficients,
+    stencil,
+)
 from vergence.errors import VergenceError
 from vergence.estimation.residual import Residual
 from vergence.estimation.variables import Latent, Variables
@@ -52,6 +58,9 @@ millimetre, determine lengths better than a printed board does."""
 TURNED_RAD = 0.5
 """Turn of a board against the other views of its placement from which a view is left out; the start
 is better than that, and a board numbered from the wrong end is turned by pi."""
+LEAST_SEEN = 0.5
+"""Share of the rows of a motion in which an eye must see the board, among its neighbours in time,
+so that these determine the trajectory. An assumption: 2 and 5 of 30 rows are too few."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +76,10 @@ class PoseObservations:
     eye_angles: Array
     T_base_eye: Array | None
     timing: ClassVar[None] = None
+
+    def name_of_view(self, row: int) -> str:
+        """Name a view by its number."""
+        return f"view {row}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,7 +218,7 @@ def _postures(
         finite = np.isfinite(reading).all(axis=1)
     if not finite.all():
         v, e = pairs[~finite][0]
-        raise missing_reading(EYES[e] if alone else None, int(v))
+        raise missing_reading(EYES[e] if alone else None, observations.name_of_view(v))
     return posture.ravel(), Postures(view, whose, columns_of, reading, read)
 
 
@@ -260,10 +273,43 @@ def _readings(
     run = timing.run[postures.view]  # a motion of one eye, not of both
     around = stencil(timing.time_s[postures.view], np.where(run > 0, 2 * run - postures.eye, 0))
     read = observations.eye_angles if poses is None else poses
-    motion, seldom = read_motion(timing, read, postures, around)
+    motion, seldom = _read_motion(timing, read, postures, around)
     return Readings(
         postures=postures, level=level, around=around, read_motion=motion, seldom_seen=seldom
     )
+
+
+def _read_motion(
+    timing: Timing, read: Array, postures: Postures, around: Stencil
+) -> tuple[Array, np.ndarray]:
+    """Fit polynomials in time to what was read around B postures, from the reading's moment on.
+
+    Also returns (B,) of bool: where the board is seen in too few rows to determine the trajectory.
+    A polynomial through these would bridge motions that only the readings show.
+    """
+    view = postures.view
+    motion = np.zeros((*postures.reading.shape, TRAJECTORY_DEGREE))
+    seldom = np.zeros(len(view), bool)
+    nearby_s = timing.time_s[view][around.neighbours]
+    for e in np.unique(postures.eye):
+        mine = np.flatnonzero(postures.eye == e)
+        wanted = np.isin(np.arange(len(read)), view[mine])
+        poses = read.ndim > 2
+        own = read[:, e] if poses else read[:, postures.columns[mine[0]]]
+        known = np.asarray(np.isfinite(own).reshape(len(own), -1).all(axis=1))
+        run = np.where(known, timing.run, 0)  # unknown rows are no neighbours of known ones
+        every = stencil(timing.time_s, run, wanted)
+        if poses:
+            own = np.where(known[:, None, None], own, np.eye(4))
+            motion[mine] = pose_coefficients(every, own)[view[mine]]
+        else:
+            motion[mine] = coefficients(every, np.nan_to_num(own))[view[mine]]
+        for b in mine[run[view[mine]] > 0]:
+            near = (timing.time_s >= nearby_s[b].min()) & (timing.time_s <= nearby_s[b].max())
+            near &= run == run[view[b]]
+            seen = np.isin(np.flatnonzero(near), view[mine]).sum()
+            seldom[b] = seen < LEAST_SEEN * near.sum()
+    return motion, seldom
 
 
 def _free(start: HeadCalibration, fixed: Collection[str], detections: Detections) -> np.ndarray:

@@ -149,8 +149,9 @@ def _about(views: PreparedViews, head: HeadCalibration) -> list[Finding]:
         focal_std = {name: (std[f"{name}.fx"], std[f"{name}.fy"]) for name in head.cameras}
     # Bases of measured poses may stand anywhere, as those of two arms do.
     poses = views.observations.T_base_eye is not None
+    moving = not views.observations.at_rest.all()
     return [
         *([] if poses else plausibility.implausible_geometry(head)),
-        *excitation.stretched_board(*views.at_rest, views.intrinsics, moving=not views.all_at_rest),
+        *excitation.stretched_board(*views.at_rest, views.intrinsics, moving=moving),
         *excitation.doubtful_focal_lengths(views.observations, views.T_cam_target, head, focal_std),
     ]

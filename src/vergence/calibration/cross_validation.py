@@ -15,6 +15,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.calibration.bundle_adjustment import BundleEstimate, NoiseModel, bundle_adjust
 from vergence.calibration.initial import calibrate_sequentially
+from vergence.calibration.intrinsics import FOLDS
 from vergence.calibration.observations import Observations, camera_eyes
 from vergence.calibration.prepared_views import PreparedViews
 from vergence.errors import VergenceError
@@ -32,8 +33,6 @@ from vergence.stereo.triangulation import triangulate_at
 from vergence.stereo.uncertainty import combination
 from vergence.vision.board_pose import LEAST_CORNERS, board_poses, seen_corners
 
-FOLDS = 5
-"""Parts of the views, each predicted from the others."""
 EACH_BELOW = 20
 """Number of views below which leave-one-out is used."""
 BEYOND_CHANCE = 2.0

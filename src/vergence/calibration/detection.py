@@ -115,12 +115,8 @@ def detect_target(dataset: Dataset, *, progress: Progress = silent) -> Observati
 
 
 def _findings(dataset: Dataset, found: list[_Detection]) -> list[Finding]:
-    """Note images without corners, and cameras that never see the board."""
+    """Note images without corners."""
     findings = []
-    for camera in dataset.files:
-        own = [each for each in found if each.camera == camera]
-        if all(each.corners is None for each in own):
-            findings.append(note("blind-camera", f"{camera} never sees the board.", camera))
     for each in found:
         if each.corners is None:
             line = dataset.lines[each.row]

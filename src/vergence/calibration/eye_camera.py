@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from vergence.arrays import Array
 from vergence.calibration.bundle_adjustment import (
@@ -96,10 +95,9 @@ def refine_eye_camera(
     # The left eye of a head that has no other.
     kinematics = Kinematics({"left": joints, "right": ()}, names)
     eye, pixels, points = (np.asarray(each, dtype=float) for each in (eye, pixels, points))
-    _check(eye, pixels, points, kinematics)
+    start = None if start is None else np.asarray(start, dtype=float)
+    _check(eye, pixels, points, kinematics, np.eye(4) if start is None else start)
     check_noise(joint_std, pixel_std_px=pixel_std_px, outlier=outlier)
-    if start is not None:
-        start = _checked_start(start)
     angles = eye if eye.ndim == 2 else None
     if angles is not None and isinstance(joint_std, tuple):
         raise VergenceError(
@@ -149,7 +147,7 @@ def _observations(
 ) -> Observations:
     """Describe views (N, K, 2) of one board at rest by a camera called _NAME in the left eye.
 
-    The eye's motion is given by angles (N, r) or, where they are None, by poses T_read (N, 4, 4).
+    The eye's motion is given by angles (N, r) or, without them, by poses T_read (N, 4, 4).
     """
     N, K = pixels.shape[:2]
     unknown = np.full((N, len(kinematics.readings)), np.nan)
@@ -184,7 +182,7 @@ def _intrinsics_prior(
     return uncertain, [ParametersPrior(names=tuple(uncertain), head=head, covariance=among)]
 
 
-def _check(eye: Array, pixels: Array, points: Array, kinematics: Kinematics) -> None:
+def _check(eye: Array, pixels: Array, points: Array, kinematics: Kinematics, start: Array) -> None:
     """Raise VergenceError for arrays whose shapes do not fit, or that are not finite."""
     N, K = (len(each) if each.ndim else 0 for each in (eye, points))
     r = len(kinematics.readings)
@@ -192,6 +190,7 @@ def _check(eye: Array, pixels: Array, points: Array, kinematics: Kinematics) -> 
         ("readings, or poses,", eye, ((N, r), (N, 4, 4)), True),
         ("points", points, ((K, 3),), True),
         ("pixels", pixels, ((N, K, 2),), False),
+        ("T_eye_cam to start from,", start, ((4, 4),), True),
     ):
         if array.shape not in shapes or (finite and not np.isfinite(array).all()):
             expected = " or ".join(map(str, shapes))
@@ -203,12 +202,4 @@ def _check(eye: Array, pixels: Array, points: Array, kinematics: Kinematics) -> 
         check_turns(kinematics, eye)
     else:
         check_rigid("eye", eye)
-
-
-def _checked_start(start: ArrayLike) -> Array:
-    """Read a start as an array; VergenceError if it is not a pose."""
-    T = np.asarray(start, dtype=float)
-    if T.shape != (4, 4) or not np.isfinite(T).all():
-        raise VergenceError(f"start is T_eye_cam, 4 x 4 finite numbers; found {T.tolist()}.")
-    check_rigid("start", T)
-    return T
+    check_rigid("start", start)

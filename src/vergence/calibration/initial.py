@@ -1,12 +1,8 @@
 """The paper's calibration, step by step (Sec. II): corners and joint readings to a head.
 
-Cameras (Zhang), static stereo at straight gaze, T_eye_cam of each wide camera (Eqs. 5-9), the
-pose between wide and narrow camera, T_rbase_lbase (Eq. 10). Each step takes the one before as
-exact.
-
-Beyond the paper: eyes may be given by poses instead of angles; without straight gaze T_rbase_lbase
-comes from boards at rest that both eyes see, at once or one after the other; a head may have one
-eye only.
+Each step takes the one before as exact. Beyond the paper eyes may be given by poses, a head may
+have one eye only, and without straight gaze T_rbase_lbase comes from boards at rest that both eyes
+see, at once or one after the other.
 """
 
 from __future__ import annotations
@@ -149,7 +145,7 @@ def _mounted(
         raise VergenceError(f"The board was never found in the images of {main}.")
     lost = rows[~readable(observations, eye)[rows]]
     if len(lost):
-        raise missing_reading(eye, int(lost[0]))
+        raise missing_reading(eye, observations.name_of_view(lost[0]))
     T_base_eye = observations.eye_poses()[rows, EYES.index(eye)]
     T_eye_main = robust_park_martin(T_base_eye, T_cam_target[main][rows])
     T_eye_cam = {main: T_eye_main}
@@ -237,18 +233,8 @@ def calibrate_pair(
 ) -> tuple[Array, float]:
     """Find T_b_a (4, 4) of two rigidly connected cameras with known intrinsics.
 
-    Also returns the root mean square distance of corners from their reprojections [px].
-
-    Args:
-        corners_a: (V, K, 2) pixels in camera a; NaN where a corner was not seen.
-        corners_b: (V, K, 2) pixels in camera b, at the same moments.
-        points: (K, 3) the board's corners in frame target.
-        a: its intrinsics.
-        b: its intrinsics.
-        names: of both, for the message.
-
-    Raises:
-        VergenceError: no view shows six common corners that are not on one line.
+    Also returns the root mean square distance [px] of corners (V, K, 2), NaN where not seen, from
+    their reprojections. VergenceError if no view shows six common corners that are not on one line.
     """
     both = seen_corners(corners_a) & seen_corners(corners_b)
     corners_a, corners_b = (

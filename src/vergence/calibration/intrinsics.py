@@ -84,15 +84,8 @@ def calibrate_camera(
 ) -> Intrinsics:
     """Fit a camera to views of a flat board.
 
-    Args:
-        corners: (V, K, 2) pixels; NaN where a corner was not seen.
-        points: (K, 3) the board's corners in frame target.
-        size: width and height of the images [px].
-        lens_model: which distortion coefficients are free.
-
-    Raises:
-        VergenceError: fewer than three views with four corners or more, or boards that do not
-            determine the focal length.
+    Pixels (V, K, 2) are NaN where corners (K, 3) were not seen. VergenceError for fewer than three
+    views with four corners or more, or boards that do not determine the focal length.
     """
     seen = seen_corners(corners)
     if (found := int((seen.sum(axis=1) >= 4).sum())) < LEAST_VIEWS:
@@ -138,7 +131,7 @@ def _with_accuracy(fit: LensFit, model: LensModel) -> Intrinsics:
 
 
 FOLDS = 5
-"""Parts of the views, each predicted by a lens from the others."""
+"""Parts of the views, each predicted from the others."""
 SMALLEST_EIGENVALUE = 1e-13
 """Least eigenvalue, of information scaled to a unit diagonal, of a direction that is determined."""
 
@@ -160,13 +153,9 @@ def noise_covariance(rest: Array, variance: float) -> Array:
 def jackknife_covariance(errors: Array, rest: Array) -> Array:
     """Compute the covariance (n, n) of fitted intrinsics, by the change that each view makes.
 
-    The jackknife, for clusters: errors that the corners of a view share, such as those by the bend
-    of the board, are in it, unlike where all corners are taken to err independently. The lens
-    without a view is one Gauss-Newton step away from that of all views.
-
-    Args:
-        errors: (V, 2 K) [px] of the fit to all views.
-        rest: (V, 2 K, n) their derivatives, of `without_poses`.
+    The jackknife, for clusters: it includes errors that the corners of a view share, such as those
+    by the bend of the board. The lens without a view is one Gauss-Newton step away from that of all
+    views, whose errors (V, 2 K) [px] and derivatives (V, 2 K, n) are given: see `without_poses`.
     """
     V, (H, g) = len(errors), _by_view(errors, rest)
     moved = _solve(H.sum(axis=0) - H, g)

@@ -1,11 +1,8 @@
 """Which lens model each camera gets: as stated, or selected by how well it fits and predicts views.
 
-Every candidate is fitted to the views of one camera, and the model of the best Bayesian information
-criterion is taken: the likelihood of the fit, less what each coefficient raises it by chance. Where
-corners share errors these too raise it; so a usual model gives way to a simpler one that predicts
-held-out views as well. A fisheye has to be better than the usual models beyond doubt. A rational
-lens nearly contains all of them, so that its likelihood says little: it has to predict held-out
-views better than the model that would be taken else.
+The Bayesian information criterion decides between the fits of all candidates. Errors that corners
+share favour more coefficients; so a usual model gives way to a simpler one that predicts held-out
+views as well. A rational lens contains nearly all others: it has to predict such views better.
 """
 
 from __future__ import annotations
@@ -46,10 +43,9 @@ CHOICE_VIEWS = 10
 """Fewest views of a camera for a choice; with fewer the paper's model is taken."""
 MOST_VIEWS = 60
 """More views, spread over the recording, would not change the choice, and take time."""
-MARGIN: dict[LensModel, float] = {"fisheye": 10.0}
-"""By how much the criterion of a model must be better than that of an earlier one; 0 for models
-that are not listed. Ten is very strong evidence (Kass and Raftery). A fisheye does not contain the
-usual models, is seldom the true one, and is fitted to mild lenses nearly as well."""
+FISHEYE_MARGIN = 10.0
+"""Least advantage of a fisheye in the criterion: very strong evidence (Kass and Raftery). It does
+not contain the usual models, is seldom the true one, and fits mild lenses nearly as well."""
 RATIONAL_ERROR = 0.995
 """Held-out error of a rational lens, relative to that of the model that would be taken else, up to
 which it is taken. Of 1044 simulated cameras with other lenses - bent boards, errors that an image
@@ -78,33 +74,16 @@ class LensChoice:
 
 
 def choose_lenses(
-    observations: Observations, lens: LensOption | Mapping[str, LensOption] = "auto"
+    observations: Observations,
+    lens: LensOption | Mapping[str, LensOption] = "auto",
+    *,
+    of_the_paper: bool = False,
 ) -> dict[str, LensChoice]:
-    """Choose the lens model of every camera.
+    """Choose the lens model of every camera by views in which the eyes stood still.
 
-    Args:
-        observations: views in which the eyes stood still.
-        lens: for all cameras, or by camera (those left out: "auto").
-
-    Raises:
-        VergenceError: a camera is named that there is not.
+    The lens is stated for all cameras, or by camera (those left out: "auto"); "auto" becomes the
+    best one, or that of the paper. VergenceError for an unknown model or camera.
     """
-    wanted = by_camera(observations, lens)
-    usual, points = lenses_of_the_paper(observations), corner_points(observations.board)
-    choices: dict[str, LensChoice] = {}
-    for name, stated in wanted.items():
-        if stated == "auto":
-            corners, size = observations.corners[name], observations.sizes[name]
-            choices[name] = best_lens(corners, points, size=size, otherwise=usual[name])
-        else:
-            choices[name] = LensChoice(stated)
-    return choices
-
-
-def by_camera(
-    observations: Observations, lens: LensOption | Mapping[str, LensOption]
-) -> dict[str, LensOption]:
-    """Look up what is stated of each camera's lens; errors are those of choose_lenses."""
     names = list(observations.corners)
     stated: dict[str, LensOption] = dict.fromkeys(names, lens if isinstance(lens, str) else "auto")
     if not isinstance(lens, str):
@@ -119,7 +98,17 @@ def by_camera(
         raise VergenceError(
             f"There is no lens model {wrong[0]!r}; there are auto, {', '.join(FREE_COEFFICIENTS)}."
         )
-    return stated
+    usual, points = lenses_of_the_paper(observations), corner_points(observations.board)
+    choices: dict[str, LensChoice] = {}
+    for name, model in stated.items():
+        if model != "auto":
+            choices[name] = LensChoice(model)
+        elif of_the_paper:
+            choices[name] = LensChoice(usual[name])
+        else:
+            corners, size = observations.corners[name], observations.sizes[name]
+            choices[name] = best_lens(corners, points, size=size, otherwise=usual[name])
+    return choices
 
 
 def best_lens(
@@ -127,11 +116,7 @@ def best_lens(
 ) -> LensChoice:
     """Choose the lens model that fits and predicts views of a board best, for its coefficients.
 
-    Args:
-        corners: (V, K, 2) pixels; NaN where not seen.
-        points: (K, 3) the board's corners in frame target.
-        size: width and height of the images [px].
-        otherwise: the model where the views are too few, or no model fits them.
+    It is the one called `otherwise` where the views are too few, or no model fits them.
     """
     usable = np.flatnonzero(determines_pose(points, seen_corners(corners)))
     if len(usable) > MOST_VIEWS:
@@ -164,7 +149,7 @@ def _choice(criterion: Mapping[LensModel, float], held_out: Mapping[LensModel, f
     """Choose among models with a criterion, the simplest first."""
     models = list(criterion)
     best = min(models, key=lambda model: criterion[model])
-    enough = criterion[best] + MARGIN.get(best, 0.0)
+    enough = criterion[best] + (FISHEYE_MARGIN if best == "fisheye" else 0.0)
     number = next(k for k, model in enumerate(models) if criterion[model] <= enough)
     if models[number] == "fisheye":  # which contains none of the usual models
         return "fisheye"

@@ -48,12 +48,10 @@ class LensMap:
 def lens_maps(
     head: HeadCalibration, corners: Mapping[str, Array], residuals_px: Mapping[str, Array]
 ) -> dict[str, LensMap]:
-    """Return the map of each camera that has residuals.
+    """Map the lens of each camera that has residuals.
 
-    Args:
-        head: with its accuracy.
-        corners: by camera (V, K, 2) pixels; NaN where not seen.
-        residuals_px: by camera (V, K, 2) projected minus seen; NaN where not seen.
+    Corners and residuals, which are projected minus seen, are (V, K, 2) pixels, NaN where not seen.
+    The head states its accuracy.
     """
     return {name: _map(head, name, corners[name], own) for name, own in residuals_px.items()}
 
@@ -121,21 +119,16 @@ def without_turn(camera: Camera, pixels: Array, errors: Array, at_reference: Arr
     depends on how lens and camera frame are divided, and another lens model divides them otherwise;
     the mounting makes up for it.
     """
-    by_turn, reference = (
-        cross(unit_rays(camera, each)[:, None], _by_ray(camera, each))
-        for each in (pixels, reference_pixels(camera))
-    )
+    with np.errstate(invalid="ignore"):
+        by_turn, reference = (
+            cross(rays[:, None], project_jacobians(camera, rays)[1])
+            for rays in (unit_rays(camera, each) for each in (pixels, reference_pixels(camera)))
+        )
     good = np.isfinite(reference).all(axis=(1, 2)) & np.isfinite(at_reference).all(axis=(1, 2))
     turn = np.linalg.lstsq(
         reference[good].reshape(-1, 3), at_reference[good].reshape(-1, at_reference.shape[-1])
     )[0]
     return errors - by_turn @ turn
-
-
-def _by_ray(camera: Camera, pixels: Array) -> Array:
-    """Return derivatives (N, 2, 3) of pixels by the directions seen there."""
-    with np.errstate(invalid="ignore"):
-        return project_jacobians(camera, unit_rays(camera, pixels))[1]
 
 
 def unit_rays(camera: Camera, pixels: Array) -> Array:

@@ -99,17 +99,9 @@ def fit_lens(
 ) -> LensFit:
     """Fit a lens to views of a board, by the likelihood of the noise level that makes it largest.
 
-    Args:
-        camera: to start from.
-        free: (n,) indices of the intrinsics that may change, in the order of intrinsics_names.
-        T_cam_target: (V, 4, 4) to start from.
-        corners: (V, K, 2) pixels; NaN where not seen.
-        points: (K, 3) in frame target.
-        iterations: at most.
-        tolerance: see least_squares.
-
-    Raises:
-        ValueError: a corner has no place in the image at the start.
+    The fit starts from a camera and boards T_cam_target (V, 4, 4); the intrinsics with indices
+    `free` (n,) may change. Pixels (V, K, 2) are NaN where corners (K, 3) were not seen. ValueError
+    if a corner has no place in the image at the start.
     """
     views = BoardViews(corners=corners, points=points)
     last = len(PINHOLE) + len(camera.distortion) - 1
@@ -139,19 +131,11 @@ def fit_model(
     *,
     tolerance: float = TOLERANCE,
 ) -> LensFit:
-    """Fit a lens model to views of a board.
+    """Fit a lens model to views of a board with four corners or more, NaN where not seen.
 
-    Args:
-        lens_model: which coefficients are free.
-        start: a camera near the truth with its boards: of the same or of the radial-tangential
-            model, or for a rational lens a fisheye one; None: it is sought.
-        corners: (V, K, 2) pixels, NaN where not seen; each view has four or more.
-        points: (K, 3) the board's corners in frame target.
-        size: width and height of the images [px].
-        tolerance: see least_squares.
-
-    Raises:
-        cv2.error or ValueError or numpy.linalg.LinAlgError: the fit leads to no camera.
+    The start is near the truth, of the same or of the radial-tangential model, or for a rational
+    lens a fisheye; None: it is sought. cv2.error, ValueError or numpy.linalg.LinAlgError if the fit
+    leads to no camera.
     """
     fit = _fit_from(lens_model, start, corners, points, size, tolerance)
     # A board that is small in the image may have been found slanted the other way.

@@ -180,14 +180,14 @@ def camera_eyes(observations: Observations) -> dict[str, Side]:
     return found
 
 
-def missing_reading(eye: Side | None, view: int) -> VergenceError:
-    """Return the error for a view without the joint readings, or the pose, of an eye that sees.
+def missing_reading(eye: Side | None, where: str) -> VergenceError:
+    """Make the error for a view without the joint readings, or the pose, of an eye that sees.
 
     None: of both eyes, whose readings are needed together.
     """
     who, its = ("An eye sees", "a") if eye is None else (f"The {eye} eye sees", "its")
     return VergenceError(
-        f"{who} a board in view {view}, but {its} joint reading is not finite; leave the view out."
+        f"{who} a board in {where}, but {its} joint reading is not finite; leave the view out."
     )
 
 
@@ -197,7 +197,7 @@ def check_readings(observations: Observations) -> None:
         sees = np.isfinite(observations.corners[name]).any(axis=(1, 2))
         lost = np.flatnonzero(sees & ~readable(observations, eye))
         if len(lost):
-            raise missing_reading(eye, int(lost[0]))
+            raise missing_reading(eye, observations.name_of_view(lost[0]))
 
 
 def readable(observations: Observations, eye: Side) -> np.ndarray:

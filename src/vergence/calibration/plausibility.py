@@ -16,7 +16,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from vergence.arrays import Array
-from vergence.calibration.board_numbering import EXACT_RAD, fit_turns, nearest_numbering
+from vergence.calibration.board_numbering import (
+    EXACT_RAD,
+    LEAST_SPREAD_RAD,
+    MOST_TURNED_RAD,
+    fit_turns,
+    nearest_numbering,
+)
 from vergence.calibration.observations import Observations, camera_eyes, most_seen, readable
 from vergence.errors import VergenceError, listed
 from vergence.findings import Finding, note, void, warning
@@ -36,8 +42,6 @@ from vergence.stereo.extrinsics import stereo_cameras
 
 LEAST_VIEWS = 6
 """Minimum number of views of a board at rest that can contradict what was read."""
-LEAST_SPREAD_RAD = 0.02
-"""Minimum root mean square turn about the second axis; below it noise of half a degree decides."""
 CLEARLY_BETTER, ALIKE = 3.0, 1.2
 """Ratios of misfits from which data fit clearly better, and up to which they fit alike."""
 NOISY, UNRELATED = 0.45, 0.7
@@ -65,9 +69,8 @@ OUTLIER, OUTLIER_RAD, MOST_OUTLIERS = 6.0, np.radians(1.0), 0.25
 more than this share of them do."""
 LEAST_BASELINE_M = 1e-3
 """Minimum distance between the cameras of two eyes."""
-MOST_TURNED_DEG, ASIDE = 30.0, 0.7
-"""Largest angle between the bases of the eyes, and minimum cosine between the line through the eyes
-and the head's y axis, of heads as they are built."""
+ASIDE = 0.7
+"""Minimum cosine between the line through the eyes and the head's y axis, of heads as built."""
 USUAL_BASELINE_M = 0.02, 0.5
 """Range of baselines of heads."""
 NAMED = 5
@@ -632,12 +635,12 @@ def implausible_geometry(head: HeadCalibration) -> list[Finding]:
     if len({mounted.eye for mounted in head.cameras.values()}) < 2:
         return []
     findings = []
-    across, t = np.degrees(angle(head.T_rbase_lbase[:3, :3])), eye_shift(head)
-    if across > MOST_TURNED_DEG:
+    across, t = float(angle(head.T_rbase_lbase[:3, :3])), eye_shift(head)
+    if across > MOST_TURNED_RAD:
         sentence = (
-            f"T_rbase_lbase: the bases of the eyes are turned by {across:.0f} degrees against each "
-            "other, though the joints of both turn about the head's axes: check the signs and the "
-            "columns of one eye's readings, and that they are zero at straight gaze."
+            f"T_rbase_lbase: the bases of the eyes are turned by {np.degrees(across):.0f} degrees "
+            "against each other, though the joints of both turn about the head's axes: check the "
+            "signs and the columns of one eye's readings, and that they are zero at straight gaze."
         )
         findings.append(void("bases-turned", sentence, "T_rbase_lbase"))
     baseline = float(np.linalg.norm(t))

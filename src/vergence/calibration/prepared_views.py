@@ -14,12 +14,10 @@ from vergence.calibration.intrinsics import (
     LEAST_VIEWS,
     Intrinsics,
     calibrate_intrinsics,
-    lenses_of_the_paper,
 )
 from vergence.calibration.lens_choice import (
     LensChoice,
     LensOption,
-    by_camera,
     choose_lenses,
 )
 from vergence.calibration.lenses import LensModel
@@ -55,11 +53,6 @@ class PreparedViews:
         """The views in which the eyes stand still, and the board's poses in them."""
         return self.take(self.observations.at_rest)
 
-    @property
-    def all_at_rest(self) -> bool:
-        """Whether the eyes stood still in all views."""
-        return bool(self.observations.at_rest.all())
-
     def take(self, rows: np.ndarray) -> tuple[Observations, dict[str, Array]]:
         """Select views by a mask (V,), and the board's poses in them."""
         poses = {name: T[rows] for name, T in self.T_cam_target.items()}
@@ -78,11 +71,7 @@ def prepare(
     _check_views(seen)
     if method == "bundle":  # the paper's steps need the readings of some views only
         check_readings(data)
-    if method == "paper":
-        paper: dict[str, LensOption] = {**lenses_of_the_paper(seen)}
-        stated = by_camera(seen, lens)
-        lens = {name: paper[name] if each == "auto" else each for name, each in stated.items()}
-    lenses = choose_lenses(seen, lens)
+    lenses = choose_lenses(seen, lens, of_the_paper=method == "paper")
     models: dict[str, LensModel] = {name: choice.model for name, choice in lenses.items()}
     intrinsics = calibrate_intrinsics(seen, lenses=models)
     points = corner_points(data.board)

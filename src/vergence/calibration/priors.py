@@ -2,18 +2,6 @@
 
 The scales are standard deviations by a ruler, a data sheet or a drawing. They are the yardstick for
 what images determine (`estimation.observability`). Priors are residuals.
-
-Numerator and denominator of a rational lens may nearly cancel, so that corners leave some of its
-coefficients open: along a valley the fits differ less than the noise, while a pole may stand
-between the corners or beyond them. A lens has no pole: every direction before a camera has a place
-in its image plane. So each coefficient of the denominator is assumed to be positive and of the size
-that it has for an equidistant lens. It has a gamma distribution of shape 2, whose density is
-largest there, zero at zero, and a fourteenth of the largest at six times it. The numerator is free.
-
-Where boards do not reach the edge of a fisheye lens, its last coefficients are open too. Those of
-all projections that lenses are designed for are below a third (that of a pinhole is 1/3, 2/15,
-17/315, 62/2835 in the angle from the axis; others are smaller), so each is assumed to be normally
-distributed about zero.
 """
 
 from __future__ import annotations
@@ -132,7 +120,15 @@ def _moved_number(value: float, step: Array) -> float:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LensPrior(Residual):
-    """The prior of one lens: of a camera of the head, or of the block "lens"."""
+    """The prior of one lens: of a camera of the head, or of the block "lens".
+
+    Numerator and denominator of a rational lens may nearly cancel, so that corners leave some of
+    its coefficients open, and the fit has a pole. A lens has none. So each coefficient of the
+    denominator has a gamma distribution of shape 2, zero at zero, whose density is largest for an
+    equidistant lens. The last coefficients of a fisheye lens are open where boards do not reach its
+    edge. Those of all projections that lenses are designed for are a third at most (a pinhole has
+    1/3, 2/15, 17/315, 62/2835), so each is normally distributed about zero.
+    """
 
     camera: str | None = None
     """Its name in the head; None: the block "lens"."""
@@ -172,13 +168,7 @@ class LensPrior(Residual):
 
 
 def lens_priors(lens: Camera, free: bool, camera: str | None = None) -> list[LensPrior]:
-    """Make the prior of a lens: none for other models, or if it starts where none can be.
-
-    Args:
-        lens: to start from.
-        free: whether its last coefficient may change.
-        camera: see LensPrior.
-    """
+    """Make the prior of a lens whose last coefficient is free; some lenses have none."""
     possible = lens.model == "fisheye" or (
         lens.model == "rational" and bool((lens.distortion[-3:] > 0).all())
     )

@@ -1,12 +1,9 @@
 """What a calibration measures: corners, readings, poses of a target, and priors.
 
-A corner P of a board passes through
-`p_cam = T_cam_eye T_eye_base(u) T_base_lbase T_lbase_target P`, and then through the lens. Shared
-unknowns are the blocks "head" (the parameters in the order of `geometry.parameters`), "boards"
-(T_lbase_target of each placement) and "board_scale" (its size relative to the stated one). Latent
-are the readings u [rad] as they would be without noise or, for measured eye poses, their errors.
-
-Poses change by the increment of `se3.boxplus`.
+A corner P passes through `p_cam = T_cam_eye T_eye_base(u) T_base_lbase T_lbase_target P`, and then
+through the lens. Shared unknowns are "head" (in the order of `geometry.parameters`), "boards"
+(T_lbase_target of each placement) and "board_scale". Latent are the readings u [rad] without noise
+or, for measured eye poses, their errors. Poses change by the increment of `se3.boxplus`.
 """
 
 from __future__ import annotations

@@ -1,13 +1,9 @@
 """Systematic errors of corners: what neither more corners nor more views average out.
 
-A lens that departs from its model, or a detector with the same error in the same part of the image,
-moves corners by a smooth field over the image. The unknowns absorb part of it, and are then wrong
-by more than independent errors explain; the rest stays in the residuals. The size of the field is
-estimated from that rest; the absorbed part is *assumed* to be as large. What is known of the
-detector beforehand sets a least size.
-
-The field of each camera is a sum of Legendre polynomials in both coordinates of the image, up to
-`FIELD_DEGREE`, with coefficients of one standard deviation.
+A lens that departs from its model, or a detector, moves corners by a smooth field over the image: a
+sum of Legendre polynomials with coefficients of one standard deviation. The unknowns absorb part of
+it. Its size is estimated from the part that stays in the residuals, and is at least what is known
+of the detector; the absorbed part is *assumed* to be as large.
 """
 
 from __future__ import annotations

@@ -260,7 +260,7 @@ def _check_target_poses(
 def _check_not_stuck(
     T_cam_target: Mapping[str, Array], eye_poses: Array, eyes: Mapping[str, Side]
 ) -> None:
-    """Raise a VergenceError if poses of a target hardly turn where the eye does."""
+    """Raise a VergenceError if the poses of a target stay the same while the eye turns."""
     for name, T in T_cam_target.items():
         own = eye_poses[:, EYES.index(eyes[name])]
         known = known_poses(T) & known_poses(own)
