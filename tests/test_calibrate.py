@@ -10,7 +10,6 @@ import pytest
 import vergence.calibration.bundle_start as bundle_start
 import vergence.calibration.calibrate as calibrate_module
 import vergence.calibration.cross_validation as cross_validation
-import vergence.calibration.initial as initial
 import vergence.calibration.prepared_views as prepared_views
 from recordings import JOINTS, description, picture, write_dataset
 from simulated_head import plain_head, random_head
@@ -97,7 +96,10 @@ def test_the_paper_s_method_does_without_bundle_adjustment(recorded, monkeypatch
 
 @pytest.mark.parametrize("method", ["bundle", "paper"])
 def test_the_board_s_pose_is_found_once_in_each_image(recorded, method: Method, monkeypatch):
-    """Before the folds, whose lenses are others, and whose poses are those of other lenses."""
+    """Before the folds, whose lenses are others, and whose poses are those of other lenses.
+
+    The paper's steps solve for those of a pair of cameras again, by the corners that both see.
+    """
     solved, ended = Counter[bytes](), []
 
     def counted(camera: object, corners: Array, points: Array) -> Array:
@@ -105,7 +107,7 @@ def test_the_board_s_pose_is_found_once_in_each_image(recorded, method: Method, 
             solved.update(image.tobytes() for image in corners if np.isfinite(image).any())
         return board_poses(camera, corners, points)  # type: ignore[arg-type]
 
-    for module in (prepared_views, cross_validation, bundle_start, initial):
+    for module in (prepared_views, cross_validation, bundle_start):
         monkeypatch.setattr(module, "board_poses", counted)
     monkeypatch.setattr(
         cross_validation, "calibrate_folds", lambda *_: ended.append(True) or _nothing()
