@@ -220,7 +220,7 @@ def _trimmed(rows: Array, right: Array, off: Array) -> tuple[Array, np.ndarray]:
         kept = off <= np.quantile(off, 1 - MOST_OUTLIERS)
         x = np.linalg.lstsq(rows[kept].reshape(-1, k), right[kept].reshape(-1, m))[0]
         off = np.linalg.norm(right - rows @ x, axis=(1, 2))
-    return x, kept
+    return np.asarray(x, dtype=float), kept
 
 
 def turns(R_cam_target: Array) -> Array:
