@@ -31,8 +31,8 @@ OUTER_LIBRARIES = {
     "mujoco": ("twin",),
     "rerun": ("viewer", "paper.recording"),
     "matplotlib": ("viewer", "paper.plots"),
-    "joblib": ("accuracy.design_chunks", "parallel"),
-    "distributed": ("accuracy.design_chunks",),
+    "joblib": ("accuracy.design_sweep", "parallel"),
+    "distributed": ("accuracy.design_sweep",),
     "tyro": ("cli",),
     "rich": ("cli",),
 }

@@ -10,9 +10,12 @@ from other_heads import KINDS, other_head
 from recordings import small_dataset
 from simulated_head import plain_head
 from test_location_accuracy import stated
-from vergence.accuracy.budget import CALIBRATION, Source, budget, group_of
-from vergence.accuracy.motion_budget import (
+from vergence.accuracy.budget import (
+    CALIBRATION,
     MotionBudgets,
+    Source,
+    budget,
+    group_of,
     motion_budgets,
     stated_sources,
 )

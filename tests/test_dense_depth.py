@@ -165,7 +165,7 @@ def test_depth_does_not_depend_on_how_the_eyes_expose(pair: RectifiedPair, drawn
     [
         ((240, 320, 3), np.uint8, r"640 x 480 px.*found .*\(240, 320, 3\)"),
         ((480, 640, 4), np.uint8, r"RGB.*found .*\(480, 640, 4\)"),
-        ((480, 640, 3), np.uint16, r"uint8; found .* of uint16"),
+        ((480, 640, 3), np.uint16, r"uint8.*found .* of uint16"),
     ],
 )
 def test_images_that_do_not_fit_the_calibration_are_refused(pair, drawn, shape, dtype, said):

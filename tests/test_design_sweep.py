@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vergence.accuracy import design_chunks as command
-from vergence.accuracy.design_chunks import sweep
+from vergence.accuracy import design_sweep as command
 from vergence.accuracy.design_settings import (
     AXES,
     Designs,
@@ -23,6 +22,7 @@ from vergence.accuracy.design_sweep import (
     compute_chunk,
     located_points,
     most_accurate,
+    sweep,
     values_of,
 )
 from vergence.arrays import Array

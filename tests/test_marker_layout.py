@@ -21,7 +21,7 @@ SIZE = 280, 240
 
 
 def pairs_of(image: np.ndarray, board: Charuco = BOARD):
-    return marker_pairs(*read_markers(upsampled(image)[0], board.dictionary), board)
+    return marker_pairs(*read_markers(upsampled(image)[0], board.dictionary))
 
 
 @pytest.mark.parametrize("legacy", [False, True])
@@ -88,7 +88,7 @@ def test_the_size_of_markers_need_not_be_right():
 def test_one_marker_has_no_neighbours():
     image, _ = picture(BOARD, held(0, shift=20), SIZE)
     quads, ids = read_markers(upsampled(image)[0], BOARD.dictionary)
-    alone = marker_pairs(quads[:1], ids[:1], BOARD)
+    alone = marker_pairs(quads[:1], ids[:1])
     assert alone.ids.shape == alone.steps.shape == (0, 2)
     assert not contradicts(alone, BOARD)
     assert board_of(alone, BOARD) is None

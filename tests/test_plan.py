@@ -14,18 +14,23 @@ from simulated_head import plain_head, random_head, rough_start
 from simulated_recording import BOARD, EXACT, Recording, joined, record
 from test_kinematics import shared_tilt
 from vergence import cli
+from vergence.accuracy import plan as command
 from vergence.accuracy import plan as plan_module
 from vergence.accuracy import plan_information
-from vergence.accuracy import plan_source as command
 from vergence.accuracy.plan import Plan, choose, plan
-from vergence.accuracy.plan_information import known_of, total_information, view_information
+from vergence.accuracy.plan_information import (
+    known_of,
+    largest_std,
+    total_information,
+    view_information,
+    workspace,
+)
 from vergence.accuracy.plan_views import (
     MARGIN_PX,
     admissible_views,
     as_seen,
     shows_whole_board,
 )
-from vergence.accuracy.plan_workspace import largest_std, workspace
 from vergence.calibration.bundle_adjustment import NoiseModel, bundle_adjust
 from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError

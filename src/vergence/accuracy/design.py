@@ -24,9 +24,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vergence.accuracy.plan_information import total_information, view_information
+from vergence.accuracy.plan_information import (
+    point_by_parameters,
+    total_information,
+    view_information,
+)
 from vergence.accuracy.plan_views import MARGIN_PX, Views
-from vergence.accuracy.plan_workspace import point_by_parameters
 from vergence.arrays import Array
 from vergence.calibration.bundle_adjustment import fixed_by_default
 from vergence.geometry.board import Chessboard, corner_points
@@ -130,13 +133,8 @@ def sensitivity(
 ) -> Sensitivity:
     """Compute what each source adds to the errors of points that a designed head locates.
 
-    Args:
-        head: that of `designed_head`.
-        board: that it is calibrated with.
-        points: (N, 3) [m] in the left eye's base frame.
-        joints: (N, 4) readings [rad] at which they are located.
-        corner_std_px: noise of one coordinate of a corner of the board.
-        joint_std_rad: (J,) levels of the noise of readings in the calibration.
+    Points (N, 3) [m] are in the left eye's base frame, and are located at joints (N, 4) [rad].
+    `joint_std_rad` (J,) are levels of the noise of readings in the calibration.
     """
     left, right = (project_point(head, name, joints, points) for name in WIDE)
     seen = linearised(

@@ -7,24 +7,31 @@ is nearly G-optimal: it minimises the largest standard deviation of a point over
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence.accuracy.plan_information import (
+    WorkspacePoints,
     known_of,
+    largest_std,
     marginalise_place,
     total_information,
     view_information,
+    workspace,
 )
 from vergence.accuracy.plan_views import Views, admissible_views
-from vergence.accuracy.plan_workspace import WorkspacePoints, largest_std, workspace
 from vergence.arrays import Array
+from vergence.calibration.calibrate import calibrate
 from vergence.calibration.summary import DISTANCES_M
+from vergence.data.description import MAX_SQUARE_M
+from vergence.data.reader import load_dataset
 from vergence.errors import VergenceError, check_seed
-from vergence.geometry.board import Board
-from vergence.geometry.head import HeadCalibration, pair_names, pixel_stds, reading_stds
+from vergence.geometry.board import Board, Chessboard
+from vergence.geometry.head import HeadCalibration, load_head, pair_names, pixel_stds, reading_stds
 from vergence.geometry.kinematics import Kinematics
 from vergence.progress import Progress, silent
 
@@ -146,13 +153,9 @@ def choose(
 ) -> np.ndarray:
     """Select views (count,) one by one, then exchange each for a better one.
 
-    Args:
-        before: (p, p) information on the head without them.
-        of_views: (V, p + 6, p + 6) information of the candidates.
-        place: (V,) number of the board's place.
-        by_parameters: (W, 3, p) derivatives of the points, in the same units.
-        count: number of views to select.
-        progress: see vergence.progress.
+    `before` (p, p) is the information about the head without them, `of_views` (V, p + 6, p + 6)
+    that of the candidates, `place` (V,) the number of each one's place, and `by_parameters`
+    (W, 3, p) are derivatives of the points.
     """
     task, total = "choosing views", count * (1 + EXCHANGES)
     chosen: list[int] = []
@@ -181,3 +184,39 @@ def _costs(
     together = rest[place] + marginalise_place(at_place[place] + of_views)
     std = largest_std(by_parameters, np.linalg.inv(together))
     return (std**POWER).mean(axis=-1)
+
+
+def head_and_board(
+    source: Path,
+    board: tuple[int, int, float] | None,
+    limits_rad: ArrayLike,
+    progress: Progress,
+) -> tuple[HeadCalibration, Board]:
+    """Load the calibration of a file, or calibrate a dataset, and find the board to show.
+
+    VergenceError if the source is neither, its calibration is void, or nothing can be planned.
+    """
+    shown = None if board is None else _chessboard(*board)
+    if os.path.isdir(source):
+        data = load_dataset(source)
+        largest_readings(data.description.head_kinematics, limits_rad)
+        found = calibrate(data, progress=progress)
+        if found.accuracy.void:
+            raise VergenceError(f"The calibration from {source} is VOID: {found.accuracy.void[0]}")
+        return found.head, shown or data.description.board
+    head = load_head(source)
+    if shown is None:
+        raise VergenceError(
+            f"{source} does not say which board will be shown; say it with --board COLUMNS ROWS "
+            "SQUARE_M, such as --board 9 6 0.03, or name the folder of the dataset."
+        )
+    return head, shown
+
+
+def _chessboard(columns: int, rows: int, square_m: float) -> Chessboard:
+    if min(columns, rows) < 3 or max(columns, rows) > 100 or not 0 < square_m <= MAX_SQUARE_M:
+        raise VergenceError(
+            "--board takes 3 to 100 inner corners each way and the side of a square up to 1 m, "
+            f"found {columns} {rows} {square_m:g}."
+        )
+    return Chessboard(columns, rows, square_m)

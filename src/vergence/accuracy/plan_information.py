@@ -14,11 +14,18 @@ import numpy as np
 from vergence.accuracy.plan_views import T_cam_target, Views, as_seen
 from vergence.arrays import Array, scatter_add
 from vergence.calibration.bundle_start import bundle_problem
+from vergence.calibration.summary import DISTANCES_M
 from vergence.errors import VergenceError
+from vergence.gaze.fixation import solve_fixation
 from vergence.geometry.board import Board
-from vergence.geometry.head import HeadCalibration, check_states_covariance
+from vergence.geometry.head import HeadCalibration, T_head_base, check_states_covariance
+from vergence.geometry.kinematics import looking_along
 from vergence.geometry.parameter_names import POSE
-from vergence.geometry.parameters import parameter_names
+from vergence.geometry.parameters import named_columns, parameter_names
+from vergence.geometry.projection import project_point
+from vergence.geometry.se3 import inverse, transform
+from vergence.stereo.linearised import by_head_parameters, linearised, pair_parameters
+from vergence.stereo.sightings import sightings
 
 CORNERS_AT_A_TIME = 20_000
 """Number of corners that are linearised together: their derivatives take 50 MB for each camera, and
@@ -62,19 +69,10 @@ def view_information(
     pixel_std_px: float,
     joint_stds: Array,
 ) -> Array:
-    """Compute the information of V views about the head and the board's place.
+    """Compute the information (S, V, p + 6, p + 6) of V views about the head and the board's place.
 
-    Args:
-        head: at which the views are linearised.
-        board: in the views.
-        views: of whole boards, without noise.
-        names: of the p parameters of the head that are estimated.
-        scale: (p,) their units.
-        pixel_std_px: noise of one coordinate of a corner.
-        joint_stds: (S, r) levels of the noise of the readings [rad].
-
-    Returns:
-        (S, V, p + 6, p + 6), with the board's place [rad, m] last.
+    Its rows are the p named parameters, in units of scale (p,), then the board's place [rad, m].
+    `joint_stds` (S, r) are levels of the noise of the readings [rad].
     """
     at_a_time = max(1, CORNERS_AT_A_TIME // (board.columns * board.rows))
     unit, parts = np.append(scale, np.ones(len(POSE))), []
@@ -138,3 +136,78 @@ def total_information(of_views: Array, place: np.ndarray) -> Array:
     """Add up the information (p, p) of views (V, p + 6, p + 6) at places (V,) about the head."""
     of_places = [of_views[place == each].sum(axis=0) for each in np.unique(place)]
     return marginalise_place(np.array(of_places)).sum(axis=0)
+
+
+ASIDE_RAD, ABOVE_RAD = 0.25, 0.2
+"""Directions of the points to the side and upwards, from the middle of the head [rad]: those of
+most objects that a head looks at."""
+
+
+@dataclass(frozen=True, eq=False)
+class WorkspacePoints:
+    """W points that both eyes fixate."""
+
+    points: Array
+    """(W, 3) [m] in the left eye's base frame."""
+    joints: Array
+    """(W, r) readings [rad]."""
+    by_parameters: Array
+    """(W, 3, p) derivatives of the located points by parameters of the head."""
+
+
+def workspace(
+    head: HeadCalibration,
+    pair: tuple[str, str],
+    limits_rad: Array,
+    *,
+    names: tuple[str, ...],
+    distances_m: tuple[float, ...] = DISTANCES_M,
+) -> WorkspacePoints:
+    """Make the points at some distances, with their derivatives by named parameters.
+
+    The eyes fixate with readings up to limits (r,) to either side. Raises VergenceError if a point
+    is not in the images of both cameras of the pair then.
+    """
+    a, b = np.meshgrid(ASIDE_RAD * np.arange(-1, 2), ABOVE_RAD * np.arange(-1, 2))
+    in_head = np.multiply.outer(np.array(distances_m), looking_along(a, -b)).reshape(-1, 3)
+    points = transform(inverse(T_head_base(head, "left")), in_head)
+    in_bases = points, transform(head.T_rbase_lbase, points)
+    joints = solve_fixation(head, dict(zip(pair, in_bases, strict=True)))
+    joints = np.clip(np.nan_to_num(joints), -limits_rad, limits_rad)
+    seen = np.ones(len(points), bool)
+    for name in pair:
+        lens = head.cameras[name].intrinsics
+        offset = project_point(head, name, joints, points) - lens.matrix[:2, 2]
+        seen &= (np.abs(offset) < np.array(lens.size) / 2).all(axis=1)
+    if not seen.all():
+        x, y, z = points[seen.argmin()]
+        raise VergenceError(
+            f"The eyes cannot both see the point ({x:z.2f}, {y:z.2f}, {z:z.2f}) m from the left "
+            "eye within the limits of their joints; allow them more, or name larger distances."
+        )
+    by_parameters = point_by_parameters(head, pair, points, joints)
+    return WorkspacePoints(points, joints, by_parameters[..., named_columns(head, names)])
+
+
+def point_by_parameters(
+    head: HeadCalibration, pair: tuple[str, str], points: Array, joints: Array
+) -> Array:
+    """Compute derivatives (N, 3, c) of points that two cameras locate by `parameter_names`.
+
+    The pixels of the points (N, 3) [m] and the readings (N, r) [rad] stay what they are.
+    """
+    left, right = (project_point(head, name, joints, points) for name in pair)
+    seen = sightings(head, left=left, right=right, joints=joints, cameras=pair, pixel_std_px=1.0)
+    rows = np.zeros((len(points), 3, len(parameter_names(head))))
+    columns = named_columns(head, pair_parameters(head, pair))
+    rows[..., columns] = by_head_parameters(linearised(seen), seen)
+    return rows
+
+
+def largest_std(by_parameters: Array, covariance: Array) -> Array:
+    """Compute the standard deviation (..., W) [m] of each point in its worst direction.
+
+    By derivatives (W, 3, p) and covariances (..., p, p) of the parameters.
+    """
+    C = by_parameters @ covariance[..., None, :, :] @ np.swapaxes(by_parameters, 1, 2)
+    return np.sqrt(np.linalg.eigvalsh(C)[..., -1])

@@ -33,7 +33,7 @@ def why_not_found(grey: np.ndarray, board: Board) -> str:
     """Say why a board is not found in a sharp image (H, W), by what is seen of any board."""
     if isinstance(board, Charuco):
         quads, ids = read_markers(upsampled(grey)[0], board.dictionary)
-        if contradicts(marker_pairs(quads, ids, board), board):
+        if contradicts(marker_pairs(quads, ids), board):
             return ANOTHER
         if len(ids):
             return f"only {counted(len(ids), 'marker')} of the board could be read"
@@ -95,9 +95,7 @@ def _candidates(images: Sequence[np.ndarray], board: Board) -> Iterator[Board]:
         families[_family(board.dictionary)] = board
     large = [upsampled(image)[0] for image in images[: None if isinstance(board, Charuco) else 2]]
     for like in families.values():
-        pairs = [
-            marker_pairs(*read_markers(each, like.dictionary, _MARKERS), like) for each in large
-        ]
+        pairs = [marker_pairs(*read_markers(each, like.dictionary, _MARKERS)) for each in large]
         together = MarkerPairs(
             np.concatenate([each.ids for each in pairs]),
             np.concatenate([each.steps for each in pairs]),

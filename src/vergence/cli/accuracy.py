@@ -44,8 +44,8 @@ def plan(
     """
     import numpy as np
 
+    from vergence.accuracy.plan import head_and_board
     from vergence.accuracy.plan import plan as plan_views
-    from vergence.accuracy.plan_source import head_and_board
     from vergence.cli.accuracy_reports import plan_report
     from vergence.viewer.plots.accuracy import save_plan
 
@@ -108,8 +108,8 @@ def design(
         cluster: Address of a Dask scheduler, which then does the work: tcp://HOST:PORT.
     """
     options = dict(locals())
-    from vergence.accuracy.design_chunks import sweep
     from vergence.accuracy.design_settings import AXES, merged_settings
+    from vergence.accuracy.design_sweep import sweep
     from vergence.cli.accuracy_reports import DESIGN_RESULTS, write_design
     from vergence.parallel import process_count
 
@@ -148,7 +148,7 @@ def budget(
     """
     import numpy as np
 
-    from vergence.accuracy.motion_budget import motion_budgets, stated_sources
+    from vergence.accuracy.budget import motion_budgets, stated_sources
     from vergence.cli.accuracy_reports import budget_report
 
     check_outputs(json, figure=figure, inputs=[motion, calibration, profile])

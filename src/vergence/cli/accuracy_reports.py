@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from vergence.accuracy.budget import Budget, Part
+from vergence.accuracy.budget import Budget, MotionBudgets, Part
 from vergence.accuracy.design_settings import AXES
 from vergence.accuracy.design_sweep import (
     SOURCES,
@@ -19,7 +19,6 @@ from vergence.accuracy.design_sweep import (
     most_accurate,
     values_of,
 )
-from vergence.accuracy.motion_budget import MotionBudgets
 from vergence.accuracy.plan import Plan
 from vergence.cli.report import Report
 from vergence.files import REPORT, markdown_table, whole_file, write_whole

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from vergence.cli.report import Report
-from vergence.demos.depth_errors import RANGE_M
+from vergence.demos.depth import RANGE_M
 from vergence.errors import counted
 from vergence.files import REPORT, markdown_table, write_whole
 from vergence.findings import warning

@@ -30,18 +30,10 @@ def solve_fixation(calibration: HeadCalibration, targets: Mapping[str, Array]) -
     Gauss-Newton iteration to machine precision, with the joints' imperfections and with the cameras
     off their rotation centres. Eyes that share a joint minimise the sum of their squared errors.
 
-    Args:
-        calibration: of the head.
-        targets: by camera, points (..., 3) [m] in the base frame of its eye, to be centred on the
-            principal point, so that the lens does not matter.
-
-    Returns:
-        Readings in the order of kinematics.readings; NaN for those that move no eye of these
-        cameras, and for points that no posture centres: NaN, on the pan axis, or closer than the
-        camera.
-
-    Raises:
-        VergenceError: the head has no such camera.
+    The targets are, by camera, points (..., 3) [m] in the base frame of its eye, to be centred on
+    the principal point, so that the lens does not matter. Readings are NaN if they move no eye of
+    these cameras, and for points that no posture centres: NaN, on the pan axis, or closer than the
+    camera. Raises VergenceError if the head has no such camera.
     """
     kinematics = calibration.kinematics
     shape = np.broadcast_shapes(*(points.shape[:-1] for points in targets.values()))

@@ -73,17 +73,10 @@ def gaze_angles(
 ) -> Array:
     """Compute the readings (..., r) [rad] that centre points in both eyes: version and vergence.
 
-    Args:
-        calibration: of the head.
-        points_lbase: (..., 3) [m] in the left eye's base frame.
-        cameras: names of the cameras in which they are centred on the principal point, at most one
-            of each eye; None: the narrow ones, or an eye's main one.
-
-    Returns:
-        Readings as of `solve_fixation`.
-
-    Raises:
-        VergenceError: the head has no such camera, or points are not (..., 3).
+    Points (..., 3) [m] are in the left eye's base frame. They are centred on the principal points
+    of the named cameras, at most one of each eye; None: the narrow ones, or an eye's main one. See
+    `solve_fixation` for NaN. Raises VergenceError if the head has no such camera, or points are not
+    (..., 3).
     """
     points_lbase = checked_points(points_lbase)
     if cameras is None:

@@ -40,10 +40,8 @@ def detect_object(
 
     Only requested images are searched. The wide image of an eye is searched if the narrow one does
     not show the object or if the geometry is seen by it. Nothing is searched for a given point.
-
-    Raises:
-        VergenceError: the frame's readings, images or time stamps are not those of this head and
-            its clock, or the detector returned something invalid.
+    Raises VergenceError if the frame's readings, images or time stamps are not those of this head
+    and its clock, or the detector returned something invalid.
     """
     late_s, apart_s = now_s - frame.time_s, abs(frame.time_s - frame.joint_time_s)
     if not (apart_s <= MAX_DELAY_S and -MAX_DELAY_S <= late_s <= _OLDEST_S):
@@ -217,10 +215,7 @@ def update_track(settings: GazeSettings, state: GazeState, frame: Frame | None) 
 
     Call it after the step's command was sent: it takes longer than the step, and steering does not
     need it. The state is returned as it is with geometry "joints", and for a frame that the step
-    did not use.
-
-    Raises:
-        VergenceError: see `self_calibration.calibrator.update_geometry`.
+    did not use. Raises VergenceError as `self_calibration.calibrator.update_geometry` does.
     """
     if state.geometry is None or frame is None or state.seen_s != frame.time_s:
         return state

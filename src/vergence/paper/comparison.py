@@ -59,14 +59,7 @@ class Comparison:
 def comparison(
     head: HeadCalibration, twin: Twin, learning: VisualGeometry, *, floor: bool
 ) -> Comparison:
-    """Start a comparison for a calibration.
-
-    Args:
-        head: the calibration.
-        twin: the head, whose truth the floor is given.
-        learning: what was learned so far.
-        floor: whether to compare with the true head, for evaluation.
-    """
+    """Start a comparison for a calibration; `floor` adds self-calibration of the true head."""
     states = {SINGLE: before_looking(head).state}
     if floor:
         known = initial_state(with_sensors(twin.truth, twin.profile.joints))

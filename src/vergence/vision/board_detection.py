@@ -114,7 +114,7 @@ def _detect_charuco(grey: np.ndarray, board: Charuco) -> Array | None:
     large, scale = upsampled(grey)
     found, numbers, quads, ids = detector.detectBoard(large)
     ids = np.empty(0, int) if ids is None else np.asarray(ids, int).ravel()
-    if contradicts(marker_pairs(quads, ids, board), board):
+    if contradicts(marker_pairs(quads, ids), board):
         return None
     if found is None:  # OpenCV gives up on a board if one marker lies elsewhere
         quads, ids = _markers_of_one_plane(quads, ids, board)

@@ -32,10 +32,7 @@ def contrast(grey: np.ndarray, corners: np.ndarray) -> float:
 def square_levels(grey: np.ndarray, grid: Array, at: tuple[float, float] = (0.5, 0.5)) -> Array:
     """Sample the grey levels (rows - 1, columns - 1) at one place in each square of a grid.
 
-    Args:
-        grey: (H, W) uint8.
-        grid: (rows, columns, 2) [px].
-        at: the place, as parts of the way along a square's row and its column.
+    The place is given as parts of the way along a square's row and its column.
     """
     x, y = at
     above = (1 - x) * grid[:-1, :-1] + x * grid[:-1, 1:]

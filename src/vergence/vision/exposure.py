@@ -42,15 +42,11 @@ def grey_levels(image: np.ndarray) -> np.ndarray:
 def of_equal_contrast(
     first: np.ndarray, second: np.ndarray, both: np.ndarray, nearby_px: int = NEARBY_PX
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Subtract local means of two images and scale the second to the first's contrast.
+    """Subtract local means of two images (H, W) and scale the second to the first's contrast.
 
-    Returns (H, W) uint8 about 128. If no part has contrast in both images, each keeps its own.
-
-    Args:
-        first: (H, W) uint8.
-        second: (H, W) uint8, with points of the scene displaced by less than a part.
-        both: (H / 2, W / 2) bool, for every second pixel: both images show it.
-        nearby_px: side of the square of the local mean.
+    Points of the scene are displaced by less than a part; `both` (H / 2, W / 2) says for every
+    second pixel whether both images show it. Returns (H, W) uint8 about 128. If no part has
+    contrast in both images, each keeps its own.
     """
     first, second = (_without_mean(each, nearby_px) for each in (first, second))
     ratio = _contrast_ratio(first[::2, ::2], second[::2, ::2], both)

@@ -49,7 +49,7 @@ def read_markers(
     return [np.reshape(quad, (4, 2)) for quad in quads], numbers
 
 
-def marker_pairs(quads: Sequence[np.ndarray], ids: np.ndarray, board: Charuco) -> MarkerPairs:
+def marker_pairs(quads: Sequence[np.ndarray], ids: np.ndarray) -> MarkerPairs:
     """Find the neighbours among markers with corners (4, 2) [px] and numbers (N,)."""
     if len(quads) < 2:
         return MarkerPairs(np.empty((0, 2), int), np.empty((0, 2), int))

@@ -27,13 +27,10 @@ _FITTED_PIXELS = 1000
 
 
 def coverage(window: np.ndarray, outward: Array, normals: np.ndarray, edge_px: float) -> Array:
-    """Estimate the part (H, W) of each pixel that the sphere covers, from colours (H, W, 3).
+    """Estimate the part (H, W) of each pixel that the sphere covers.
 
-    Args:
-        window: colours, the sphere's first.
-        outward: (H, W) distance [px] of each pixel from the outline, positive outside.
-        normals: (H, W, 3) of the sphere's surface.
-        edge_px: half width of the rim.
+    The window (H, W, 3) has the sphere's colour first, `outward` (H, W) are distances [px] from the
+    outline, positive outside, and `normals` (H, W, 3) those of the surface.
     """
     inside = _inside(outward, edge_px)
     outside = outward >= min(edge_px, float(outward.max()))  # at least one pixel

@@ -72,11 +72,8 @@ def relief_around(at: Array, displaced: Array) -> Array:
     At a depth discontinuity, edges of the nearer and the farther surface form T-junctions. They are
     no points of the scene and appear displaced across the epipolar line, and relief within a window
     has the same effect. A plane is fitted to the displacements of the neighbours; the worst of them
-    is left out, since it may be a mismatch.
-
-    Args:
-        at: (N, 2) middles of the windows [px].
-        displaced: (N,) their displacements along the epipolar line [px].
+    is left out, since it may be a mismatch. `displaced` (N,) are the displacements of the windows
+    at (N, 2) along the epipolar line [px].
     """
     if len(at) <= _NEIGHBOURS:
         return np.zeros(len(at))

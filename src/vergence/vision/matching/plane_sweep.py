@@ -29,13 +29,9 @@ def inverse_depths(
 ) -> Array:
     """Estimate inverse depths (N,) [1/m] in the second image; NaN where no plane is clearly best.
 
-    Args:
-        first: (H, W) grey, uint8, with contrast in the means over `step_px` pixels.
-        second: the same, of about the same brightness and contrast.
-        at: (N, 2) pixels of the first.
-        focal: of both [px].
-        middle: (2,) principal point of both [px].
-        shift: (3,) of a point, from the first camera to the second [m].
+    Both images (H, W) are of about the same brightness and contrast, with one focal length and
+    principal point `middle` (2,). A pixel of the first is `at` (N, 2); `shift` (3,) [m] is that of
+    a point from the first camera to the second.
     """
     step = step_px(first.shape[1])
     by_inverse_depth = focal * float(np.hypot(*shift[:2]))  # displacement in the middle
