@@ -7,11 +7,11 @@ import pytest
 
 from simulated_head import plain_head, point_in_camera, skewed_head
 from vergence.errors import VergenceError
-from vergence.gaze.fixation import solve_fixation
 from vergence.gaze.foveation import (
     foveal_miss,
     gaze_angles,
     ideal_wide_pixel,
+    solve_fixation,
 )
 from vergence.geometry.camera import pinhole, project
 from vergence.geometry.head import HeadCalibration, T_narrow_wide

@@ -9,8 +9,7 @@ from rerun.chunk import RrdReader
 
 from rrd import assert_valid, read_series
 from vergence.data.dataset import Frame
-from vergence.demos.experiment import Experiment
-from vergence.demos.recording import recorded
+from vergence.demos.experiment import Experiment, recorded
 from vergence.gaze.controller import run_gaze
 from vergence.gaze.foveation import ideal_wide_pixel
 from vergence.gaze.state import GazeSettings, GazeState, initial_gaze_state

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from vergence.vision.matching.plane_sweep import inverse_depths, step_px
+from vergence.vision.matching.scene_features import inverse_depths, step_px
 
 FOCAL, MIDDLE = 280.0, np.array([319.5, 239.5])
 SHIFTS = {

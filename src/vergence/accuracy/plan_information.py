@@ -16,7 +16,7 @@ from vergence.arrays import Array, scatter_add
 from vergence.calibration.bundle_start import bundle_problem
 from vergence.calibration.summary import DISTANCES_M
 from vergence.errors import VergenceError
-from vergence.gaze.fixation import solve_fixation
+from vergence.gaze.foveation import solve_fixation
 from vergence.geometry.board import Board
 from vergence.geometry.head import HeadCalibration, T_head_base, check_states_covariance
 from vergence.geometry.kinematics import looking_along

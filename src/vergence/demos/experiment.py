@@ -1,8 +1,8 @@
-"""Settings and calibrated twin that the demos have in common."""
+"""Settings, calibrated twin and recording that the demos have in common."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,15 +11,30 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vergence.arrays import Array
+from vergence.data.dataset import Frame
 from vergence.errors import VergenceError, check_seed
 from vergence.files import results_folder, write_json
-from vergence.gaze.state import GazeSettings
+from vergence.gaze.commands import EYE_READINGS
+from vergence.gaze.state import GazeSettings, GazeState
+from vergence.geometry.head import T_body_base
+from vergence.geometry.projection import project_point
+from vergence.geometry.se3 import inverse, transform
 from vergence.progress import Progress
 from vergence.self_calibration.calibrator import Geometry, VisualGeometry, initial_visual_geometry
+from vergence.twin.appearance import visual_geoms
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
 from vergence.twin.scene import Scene
-from vergence.twin.simulated_robot import calibrate_twin, learn_by_looking
+from vergence.twin.simulated_robot import (
+    FRAME_S,
+    calibrate_twin,
+    foveal_errors,
+    learn_by_looking,
+)
+from vergence.viewer.gaze import Observed, log_gaze, log_gaze_styles
+from vergence.viewer.layouts import gaze_blueprint
+from vergence.viewer.recording import Recording, log_report, recording_file
+from vergence.viewer.seen import log_seen_styles
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -88,3 +103,86 @@ def write_summary(out: Path | None, name: str, summary: DataclassInstance) -> No
     """Write a demo's summary to `name`.json in a folder; None: nothing is written."""
     if out is not None:
         write_json(summary, out / f"{name}.json")
+
+
+Watch = Callable[[GazeState, Frame | None, Mapping[str, str], Array | None], None]
+"""A function that records a state and its frame, further phases by lane, and the position (3,) [m]
+of a hand in frame body. Without a frame it records nothing."""
+
+
+@contextmanager
+def recorded(
+    experiment: Experiment,
+    name: str,
+    twin: Twin,
+    settings: GazeSettings,
+    *,
+    reach_m: float,
+    speed: float = 1.0,
+    hand: bool = False,
+) -> Iterator[tuple[Watch, list[str]]]:
+    """Record runs in a `with` block to `name`.rrd in the experiment's folder, if it has one.
+
+    Runs, each with its time from zero, follow each other on one timeline. Images are recorded of
+    the frames that have those of all cameras. The 3-D view reaches as far as stated [m]; `speed` is
+    that of the playback. Yields the function to call, and a list for the lines of the report in
+    Markdown. Raises VergenceError if the file cannot be written.
+    """
+    title = f"{name}, profile {experiment.profile.name}, seed {experiment.seed}"
+    report = [f"# {title}", ""]
+    if experiment.out is None:
+        yield lambda *_: None, report
+        return
+    head, seen = settings.calibration, settings.geometry == "seen"
+    layout = gaze_blueprint(title, head, reach_m=reach_m, speed=speed, hand=hand, seen=seen)
+    file = experiment.out / f"{name}.rrd"
+    with recording_file(file, title, layout, head, visual_geoms(twin.model)) as rec:
+        yield _watch(rec, twin, settings), report
+        log_report(rec, "\n".join(report))
+
+
+def _watch(rec: Recording, twin: Twin, settings: GazeSettings) -> Watch:
+    """Make the function that records the frames of all runs on one timeline."""
+    head = settings.calibration
+    count, latest_s, began_s = 0, -np.inf, 0.0
+    lanes_before: dict[str, str] = {}
+
+    def watch(
+        state: GazeState, frame: Frame | None, lanes: Mapping[str, str], hand: Array | None
+    ) -> None:
+        nonlocal count, latest_s, began_s, lanes_before
+        if frame is None:
+            return
+        if frame.time_s < latest_s:  # the next run
+            began_s += latest_s + FRAME_S
+        latest_s = frame.time_s
+        T_body_lbase = T_body_base(head, "left", frame.neck_angles)
+        if not count:
+            log_gaze_styles(rec, twin.T_world_lbase() @ inverse(T_body_lbase))
+            if state.geometry is not None:
+                log_seen_styles(rec, head, state.geometry.state)
+        poses = twin.body_poses()
+        where, errors_px = twin.true_object(), foveal_errors(twin, settings)
+        if poses["object"][2, 3] < 0:  # hidden, below the floor
+            where, errors_px = np.full(3, np.nan), np.full(len(settings.eyes), np.nan)
+        eyes = twin.true_angles()[EYE_READINGS]
+        lanes = {"gaze": state.phase.value, **lanes}
+        changed = {
+            lane: lanes.get(lane, "")
+            for lane in {*lanes_before, *lanes}
+            if lanes_before.get(lane) != lanes.get(lane)
+        }
+        observed = Observed(
+            time_s=began_s + frame.time_s,
+            index=count,
+            body_poses=poses,
+            pixels={name: project_point(twin.truth, name, eyes, where) for name in frame.images},
+            position=transform(T_body_lbase, where),
+            errors_px=dict(zip(settings.eyes, errors_px, strict=True)),
+            hand=hand,
+            lanes=changed,
+        )
+        log_gaze(rec, settings, state, frame, observed)
+        count, lanes_before = count + 1, lanes
+
+    return watch

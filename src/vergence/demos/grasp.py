@@ -21,9 +21,9 @@ from vergence.demos.experiment import (
     check_trials,
     initial_geometry,
     p95,
+    recorded,
     write_summary,
 )
-from vergence.demos.recording import recorded
 from vergence.errors import counted
 from vergence.files import markdown_table
 from vergence.gaze.reaching import (

@@ -17,9 +17,9 @@ from vergence.demos.experiment import (
     Experiment,
     calibrated_twin,
     initial_geometry,
+    recorded,
     write_summary,
 )
-from vergence.demos.recording import recorded
 from vergence.errors import VergenceError
 from vergence.gaze.controller import run_gaze
 from vergence.gaze.state import GazeSettings, GazeState, initial_gaze_state

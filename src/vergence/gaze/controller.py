@@ -32,8 +32,7 @@ from vergence.gaze.commands import (
     setpoint,
     setpoints_at,
 )
-from vergence.gaze.fixation import solve_fixation
-from vergence.gaze.foveation import gaze_angles
+from vergence.gaze.foveation import gaze_angles, solve_fixation
 from vergence.gaze.kalman import Track
 from vergence.gaze.observation import (
     Rays,

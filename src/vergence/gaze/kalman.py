@@ -114,7 +114,7 @@ def fuse(
     gate_chi2: float = GATE_CHI2,
     innovation_ratio: float = 1.0,
 ) -> Track:
-    """Predict and update a track; start a new one if there is none or the gate rejects.
+    """Predict and update a track; start a new one without a track, or if the gate rejects.
 
     The measurement is a point (3,) [m] with the covariance (3, 3) [m^2] of its total error. The
     gate uses this covariance, the update the covariance times the innovation ratio.

@@ -21,8 +21,6 @@ from vergence.twin.profile import ErrorProfile
 from vergence.twin.sensors import read
 from vergence.twin.simulated_robot import LOOK_S
 
-TITLE = "# Figs. 6-11"
-
 
 @dataclass(frozen=True, eq=False)
 class Reproduction:
@@ -76,7 +74,7 @@ def report(done: Reproduction) -> str:
     profile = done.profile
     replays = [done.replays[number] for number in sorted(done.replays)]
     parts = [
-        f"{TITLE}, error profile `{profile.name}`, seed {done.seed}",
+        f"# Figs. 6-11, error profile `{profile.name}`, seed {done.seed}",
         f"{profile.description} {_fitted_line(profile)}",
         "All numbers come from rendered images. Positions in metres from the left eye's rotation "
         "centre, x forward (depth), y left, z up; `paper` is what the paper's captions print.",

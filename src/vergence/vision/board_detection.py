@@ -99,7 +99,7 @@ def _numbered(grey: np.ndarray, turned: list[Array]) -> Array:
 
 
 def _first_square_is_white(grey: np.ndarray, grid: Array) -> bool:
-    """Return whether squares of the first one's colour are brighter on average than the others."""
+    """Test whether squares of the first one's colour are brighter on average than the others."""
     values = square_levels(grey, grid)
     j, i = np.indices(values.shape)
     like_first = (i + j) % 2 == 0  # the squares inside and outside the first corner are alike

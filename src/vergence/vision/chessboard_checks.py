@@ -71,7 +71,7 @@ def ends_inside(grid: Array, shape: tuple[int, ...]) -> bool:
 
 
 def _alternation(grey: np.ndarray, grid: Array, at: tuple[float, float]) -> Array:
-    """Return (N,) the brightness of squares of the first one's colour minus each neighbour's."""
+    """Compute (N,) the brightness of squares of the first one's colour minus each neighbour's."""
     values = square_levels(grey, grid, at)
     sign = np.where(np.indices(values.shape).sum(axis=0) % 2 == 0, 1, -1)
     down, right = sign[1:] * np.diff(values, axis=0), sign[:, 1:] * np.diff(values, axis=1)

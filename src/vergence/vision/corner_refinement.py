@@ -53,7 +53,7 @@ def refine_corners(
 
 
 def edge_distances(grid: Array) -> Array:
-    """Return the distance (rows, columns) of each corner of a grid to the nearest other edge."""
+    """Compute the distance (rows, columns) of each corner of a grid to the nearest other edge."""
     heights = []
     for along, across in adjacent_sides(grid):
         area = np.abs(along[..., 0] * across[..., 1] - along[..., 1] * across[..., 0])
@@ -63,7 +63,7 @@ def edge_distances(grid: Array) -> Array:
 
 
 def adjacent_sides(grid: Array) -> list[tuple[Array, Array]]:
-    """Return the sides of the four squares around each corner, as vectors from it.
+    """List the sides of the four squares around each corner, as vectors from it.
 
     Four pairs (rows, columns, 2), along the row and the column; NaN without a neighbour.
     """
@@ -75,7 +75,7 @@ def adjacent_sides(grid: Array) -> list[tuple[Array, Array]]:
 
 
 def curvatures(grid: Array) -> Array:
-    """Return the second-order terms (rows, columns, 2, 3) of the bend of a board's lines.
+    """Estimate the second-order terms (rows, columns, 2, 3) of the bend of a board's lines.
 
     Coefficients of u^2, u v and v^2 in the deviation of x and y [px] from straight lines, at an
     offset (u, v) [px] from a corner, without the change of the squares' size along a line. They are
@@ -134,7 +134,7 @@ def _smooth_map(grid: Array, places: Array) -> Array:
 
 
 def _strips(grid: Array, lengths_px: Array, half_widths_px: Array) -> Array:
-    """Return the offsets (K, 2 P, 2) [px] of the samples of two strips along each corner's edges.
+    """Compute the offsets (K, 2 P, 2) [px] of the samples of two strips along each corner's edges.
 
     A half-turn maps the first of the P samples of a strip to its last, and so on. NaN for a corner
     without a neighbour in its row or its column.

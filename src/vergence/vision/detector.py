@@ -33,16 +33,14 @@ show the object."""
 
 
 def pixel_or_nan(detection: Detection | None) -> Array:
-    """Return the pixel (2,) of a detection; NaN without one."""
+    """Take the pixel (2,) of a detection; NaN without one."""
     return np.full(2, np.nan) if detection is None else detection.pixel
 
 
 def windows(image: np.ndarray, near: Array | None) -> list[tuple[slice, slice]]:
-    """Return the windows to search, as rows and columns: around a pixel, then everywhere.
+    """List the windows to search, as rows and columns: around a pixel (2,), then everywhere.
 
-    Args:
-        image: (H, W, ...).
-        near: (2,) pixel; if it is None, NaN or outside the image, only the image is searched.
+    Without a pixel inside the image only the image is searched.
     """
     height, width = image.shape[:2]
     everywhere = slice(0, height), slice(0, width)

@@ -20,7 +20,7 @@ _MIDDLE = 128
 
 
 def checked_image(image: np.ndarray, what: str) -> np.ndarray:
-    """Return an image (H, W), (H, W, 1) or (H, W, 3) uint8; VergenceError for anything else."""
+    """Check an image (H, W), (H, W, 1) or (H, W, 3) uint8; VergenceError for anything else."""
     if image is None:  # as cv2.imread answers
         raise VergenceError(f"{what} takes images; found None: the file was not read.")
     image = np.asarray(image)

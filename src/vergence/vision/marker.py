@@ -59,7 +59,7 @@ def marker_detector(dictionary: str, marker_id: int) -> Detector:
 
 
 def _centre(corners: Array, camera: Camera) -> Array | None:
-    """Return the pixel (2,) of the centre of a square with corners (4, 2) [px].
+    """Compute the pixel (2,) of the centre of a square with corners (4, 2) [px].
 
     None where a corner lies beyond the lens model.
     """

@@ -82,7 +82,7 @@ def contradicts(pairs: MarkerPairs, board: Charuco) -> bool:
 
 
 def marker_squares(board: Charuco) -> np.ndarray:
-    """Return the squares (M, 2) of a board's markers, as x and y from its first one."""
+    """Compute the squares (M, 2) of a board's markers, as x and y from its first one."""
     last = board.squares_x * board.squares_y // 2 - 1
     return _squares(board.squares_x, _begins_white(board), last)
 
@@ -111,7 +111,7 @@ def board_of(pairs: MarkerPairs, board: Charuco) -> Charuco | None:
 
 
 def _nearest_to(board: Charuco, squares_x: int, begins_white: bool, rows: int) -> Charuco | None:
-    """Return the board with this layout that differs least from the described one."""
+    """Find the board with this layout that differs least from the described one."""
     likely = [board.squares_y] * (squares_x == board.squares_x)
     exchanged = squares_x == board.squares_y and rows >= board.squares_x - 1
     likely += [board.squares_x] * exchanged  # the last row may be out of sight
@@ -129,7 +129,7 @@ def _begins_white(board: Charuco) -> bool:
 
 
 def _squares(squares_x: int, begins_white: bool, last: int) -> np.ndarray:
-    """Return x and y of the squares (last + 1, 2) of markers 0 to last: the white ones, by rows."""
+    """List the squares (last + 1, 2) of markers 0 to last, as x and y: the white ones, by rows."""
     y, x = np.indices((2 * (last + 1) // squares_x + 2, squares_x))
     white = (x + y) % 2 == (0 if begins_white else 1)
     return np.stack([x[white], y[white]], axis=1)[: last + 1]

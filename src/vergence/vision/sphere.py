@@ -88,7 +88,7 @@ def find_sphere(
 def _detect(
     image: np.ndarray, camera: Camera, colour: str, near: Array | None
 ) -> tuple[Array, float]:
-    """Return the centre (2,) of a sphere, or NaN, and the misfit of its outline [px]."""
+    """Locate the centre (2,) of a sphere, or NaN, and the misfit of its outline [px]."""
     planes = (0, 1, 2) if colour == "red" else (2, 1, 0)  # the sphere's colour first
     for rows, columns in windows(image, near):
         window = _sphere_window(image, planes, rows, columns)
@@ -100,7 +100,7 @@ def _detect(
 def _sphere_window(
     image: np.ndarray, planes: tuple[int, int, int], rows: slice, columns: slice
 ) -> tuple[slice, slice] | None:
-    """Return rows and columns of the largest region of a colour, with a margin; None: no region."""
+    """Find rows and columns of the largest region of a colour, with a margin; None: no region."""
     split = cv2.split(image[rows, columns])
     main, second, third = (split[plane] for plane in planes)
     contrast = cv2.subtract(main, cv2.addWeighted(second, 0.5, third, 0.5, 0))
@@ -119,7 +119,7 @@ def _sphere_window(
 def _centre(
     image: np.ndarray, planes: tuple[int, int, int], rows: slice, columns: slice, camera: Camera
 ) -> tuple[Array, float]:
-    """Return the centre (2,) [px] of the sphere in these rows and columns, and its misfit [px].
+    """Locate the centre (2,) [px] of the sphere in these rows and columns, and its misfit [px].
 
     NaN where the region is beyond the lens model or too thin for a sphere.
     """
@@ -163,7 +163,7 @@ def _centre(
 
 
 def _outline(rays: Array, axis: Array, sine: float) -> tuple[Array, np.ndarray]:
-    """Return distances (H, W) [px] of pixels from a sphere's outline, and normals (H, W, 3).
+    """Compute distances (H, W) [px] of pixels from a sphere's outline, and normals (H, W, 3).
 
     Distances are positive outside. Normals are those of the surface where rays (H, W, 3) meet it,
     and of its rim where they pass it. `axis` (3,) and `sine`, that of half the opening angle,
@@ -179,7 +179,7 @@ def _outline(rays: Array, axis: Array, sine: float) -> tuple[Array, np.ndarray]:
 
 
 def _cone(centroid: Array, area: float) -> tuple[Array, float]:
-    """Return axis (3,) and sine of half the opening angle of a cone, by its section with z = 1.
+    """Compute axis (3,) and sine of half the opening angle of a cone, by its section with z = 1.
 
     With c the unit axis and s the sine, the section with this centroid and area is an ellipse of
     centre c_xy c_z / (c_z^2 - s^2) and area pi s^2 sqrt(1 - s^2) / (c_z^2 - s^2)^(3/2).

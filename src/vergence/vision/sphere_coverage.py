@@ -78,12 +78,12 @@ def edge_width_px(cover: Array) -> float:
 
 
 def _inside(outward: Array, edge_px: float) -> np.ndarray:
-    """Return which pixels (H, W) the sphere covers wholly, the innermost one in any case."""
+    """Find which pixels (H, W) the sphere covers wholly, the innermost one in any case."""
     return np.asarray(outward <= max(-edge_px, float(outward.min())))
 
 
 def _background(window: np.ndarray, outside: np.ndarray, rim: np.ndarray) -> tuple[Array, Array]:
-    """Return mean (N, 3) and covariance (N, 3, 3) of the background of the N pixels of the rim."""
+    """Estimate mean (N, 3) and covariance (N, 3, 3) of the background near each rim pixel."""
     products = (window[..., :, None] * window[..., None, :]).reshape(*window.shape[:2], 9)
     near = _nearby(np.concatenate([window, products], axis=-1), outside)[rim].astype(float)
     mean = near[:, :3]

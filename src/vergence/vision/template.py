@@ -99,7 +99,7 @@ def _templates(grey: np.ndarray, scales: Sequence[float]) -> list[np.ndarray]:
 
 
 def _octaves(template: np.ndarray) -> int:
-    """Return by how many powers of two a template is reduced for the search."""
+    """Count the powers of two by which a template is reduced for the search."""
     return int(np.log2(min(template.shape) / LEAST_SIDE_PX))
 
 
@@ -181,7 +181,7 @@ def _match(image: np.ndarray, template: np.ndarray) -> _Match | None:
 
 
 def _contrasts(image: np.ndarray, w: int, h: int) -> Array:
-    """Return the standard deviations of grey levels under windows of w x h at all places."""
+    """Compute the standard deviations of grey levels under windows of w x h at all places."""
     mean, square = (
         (S[h:, w:] - S[:-h, w:] - S[h:, :-w] + S[:-h, :-w]) / (w * h) for S in cv2.integral2(image)
     )
@@ -189,7 +189,7 @@ def _contrasts(image: np.ndarray, w: int, h: int) -> Array:
 
 
 def _vertex(scores: np.ndarray) -> float:
-    """Return the peak of the parabola through three scores, relative to the middle one, the best.
+    """Find the peak of the parabola through three scores, relative to the middle one, the best.
 
     It lies within half a step; at the border of the image, with two scores, it is 0.
     """
@@ -201,7 +201,7 @@ def _vertex(scores: np.ndarray) -> float:
 
 
 def _std_px(match: _Match) -> float:
-    """Return the standard deviation of a match: the Cramer-Rao bound and systematic errors.
+    """Estimate the standard deviation of a match: the Cramer-Rao bound and systematic errors.
 
     The part of the image's contrast that correlation does not explain counts as noise.
     """

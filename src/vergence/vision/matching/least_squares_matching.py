@@ -122,7 +122,7 @@ def _cut_out(image: np.ndarray, at: Array) -> np.ndarray:
 
 
 def _offsets(half: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return x and y (n,) float32 of the pixels of a square window, from its middle."""
+    """Compute x and y (n,) float32 of the pixels of a square window, from its middle."""
     reach = np.arange(-half, half + 1, dtype=np.float32)
     x, y = np.meshgrid(reach, reach)
     return x.ravel(), y.ravel()
@@ -220,7 +220,7 @@ def _covariance(
 
 
 def _positive_definite(matrices: np.ndarray) -> np.ndarray:
-    """Return which symmetric matrices (N, n, n) are positive definite: all pivots are positive.
+    """Test which symmetric matrices (N, n, n) are positive definite: all pivots are positive.
 
     Eigenvalues take three times as long.
     """

@@ -19,7 +19,6 @@ from vergence.geometry.camera import Camera, half_size, normalise
 from vergence.vision.exposure import NEARBY_PX, grey_levels, of_equal_contrast
 from vergence.vision.matching.feature_selection import best_of_cells, relief_around
 from vergence.vision.matching.least_squares_matching import REACH, WINDOW_PX, match_windows
-from vergence.vision.matching.plane_sweep import inverse_depths, step_px
 from vergence.vision.matching.turned_views import TurnedViews, on_map, turned_views, whole_windows
 
 _FEW = 150
@@ -29,6 +28,9 @@ _WINDOW_PX = 9
 _ACROSS = 0.2
 """Displacement across the epipolar line over the relief; fitted to rendered images of one head at
 known postures, where 0.1 to 0.3 are about as good."""
+_NEAREST, _BEYOND = 1 / 3, 1 / 32
+"""Largest displacement over the image's width, and the largest in the other direction, which far
+things have if the prediction is wrong by degrees."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +86,7 @@ def _half_size(image: np.ndarray, camera: Camera) -> tuple[np.ndarray, Camera]:
 
 
 def _information(matches: Matches) -> float:
-    """Return the sum of the inverse variances of matches [1/px^2]."""
+    """Sum the inverse variances of matches [1/px^2]."""
     return float((1 / np.trace(matches.covariance, axis1=1, axis2=2)).sum())
 
 
@@ -222,3 +224,58 @@ def _track(
     near = np.linalg.norm(back - points, axis=1) < 0.3  # px
     sure = (good[:, 0] == 1) & (again[:, 0] == 1) & near
     return found.astype(float), sure
+
+
+def step_px(width: int) -> int:
+    """Compute the displacement between neighbouring planes: a pixel of the small images."""
+    return max(width // 80, 1)  # about 80 px wide, for speed
+
+
+def inverse_depths(
+    first: np.ndarray, second: np.ndarray, at: Array, *, focal: float, middle: Array, shift: Array
+) -> Array:
+    """Estimate inverse depths (N,) [1/m] in the second image; NaN where no plane is clearly best.
+
+    The second image is displaced as planes at many distances would be, and each place of the first
+    takes the plane at which its surroundings differ least (Collins, "A space-sweep approach to true
+    multi-image matching", 1996). In small images this is fast, and it covers larger displacements
+    than a tracker's pyramid.
+
+    Both images (H, W) are of about the same brightness and contrast, with one focal length and
+    principal point `middle` (2,). A pixel of the first is `at` (N, 2); `shift` (3,) [m] is that of
+    a point from the first camera to the second.
+    """
+    step = step_px(first.shape[1])
+    by_inverse_depth = focal * float(np.hypot(*shift[:2]))  # displacement in the middle
+    if by_inverse_depth < 1e-9 or not len(at):
+        return np.full(len(at), np.nan)
+    size = first.shape[1] // step, first.shape[0] // step
+    a, b = (
+        cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.float32)
+        for image in (first, second)
+    )
+    planes = np.arange(-round(_BEYOND * size[0]), round(_NEAREST * size[0]) + 1)
+    planes = planes * (step / by_inverse_depth)
+    centre = (middle + 0.5) / step - 0.5  # the principal point in the small images
+    difference = np.empty((len(planes), *a.shape), np.float32)
+    for k, inverse_depth in enumerate(planes):
+        scale = 1 - inverse_depth * shift[2]
+        moved = inverse_depth * focal / step * shift[:2] + (1 - scale) * centre
+        displaced = cv2.warpAffine(
+            b,
+            np.array([[scale, 0, moved[0]], [0, scale, moved[1]]]),
+            size,
+            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+            borderMode=cv2.BORDER_CONSTANT,
+            borderValue=1e4,  # more than any difference, also in the mean of a square
+        )
+        cv2.boxFilter(cv2.absdiff(a, displaced), -1, (5, 5), dst=difference[k])
+    visible = difference < 256
+    mean = np.einsum("kij,kij->ij", difference, visible) / np.maximum(visible.sum(axis=0), 1)
+    least = difference.min(axis=0)
+    clear = least < 0.5 * mean  # 0.7 gives the same matches
+    # argmin takes five times as long along the first axis.
+    numbers = np.arange(len(planes), dtype=np.uint8)[:, None, None]
+    best = cv2.medianBlur((numbers * (difference == least)).max(axis=0), 5)
+    column, row = np.clip(((at + 0.5) // step).astype(int), 0, np.array(size) - 1).T
+    return np.where(clear[row, column], planes[best[row, column]], np.nan)

@@ -125,7 +125,7 @@ def on_map(where: tuple[np.ndarray, np.ndarray], pixels: Array) -> tuple[Array, 
 
 
 def whole_windows(inside: np.ndarray) -> np.ndarray:
-    """Return for every second pixel whether both images show the whole window around it."""
+    """Test for every second pixel whether both images show the whole window around it."""
     reach = WINDOW_PX // 4 + 1
     margin = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
     whole = cv2.erode(
