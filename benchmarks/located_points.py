@@ -26,8 +26,8 @@ import tyro
 import vergence as vg
 from simulated_head import random_head
 from vergence.arrays import Array
+from vergence.geometry.head import parameter_names
 from vergence.geometry.head_accuracy import Accuracy
-from vergence.geometry.parameters import parameter_names
 from vergence.geometry.projection import project_point
 from vergence.stereo.extrinsics import T_rcam_lcam
 

@@ -18,9 +18,8 @@ from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import EYES, Kinematics, Side, pan_tilt
 from vergence.geometry.lens import COEFFICIENTS
 from vergence.geometry.neck import Neck
-from vergence.geometry.parameter_names import POSE
 from vergence.geometry.parameters import boxplus, parameter_values
-from vergence.geometry.se3 import inverse, pose, rotation, transform
+from vergence.geometry.se3 import POSE, inverse, pose, rotation, transform
 
 WIDTH, HEIGHT = 640, 480
 """A camera, and a board, that look along x and against it: z is the head's x, x its -y."""

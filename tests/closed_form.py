@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence.arrays import Array
-from vergence.stereo.depth_error import depth_error, disparity_error
+from vergence.stereo.uncertainty import depth_error, disparity_error
 
 
 def predicted_depth_std(

@@ -24,10 +24,10 @@ from vergence.arrays import Array
 from vergence.cli.accuracy_reports import advice, budget_report, budget_rows
 from vergence.errors import VergenceError
 from vergence.geometry.camera import pinhole
-from vergence.geometry.head import HeadCalibration, save_head
+from vergence.geometry.head import HeadCalibration, parameter_names, save_head
 from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import Kinematics, Side
-from vergence.geometry.parameters import boxplus, change_named, is_gain, parameter_names
+from vergence.geometry.parameters import boxplus, change_named, is_gain
 from vergence.geometry.projection import project_point
 from vergence.stereo.triangulation import triangulate_at
 from vergence.twin.calibration_errors import profile_sources

@@ -28,8 +28,8 @@ from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
 from vergence.estimation import adjustment
 from vergence.estimation.least_squares import least_squares
-from vergence.geometry.head import HeadCalibration, pixel_stds
-from vergence.geometry.parameters import boxminus, parameter_names, without_offsets
+from vergence.geometry.head import HeadCalibration, parameter_names, pixel_stds
+from vergence.geometry.parameters import boxminus, without_offsets
 from vergence.vision.board_pose import board_poses
 
 NOISY = Noise(pixel_px=0.1, joint_rad=1e-3)

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from head_kinds import KINDS, head_of
+from vergence.geometry.camera import intrinsics_names
 from vergence.geometry.camera_motion import camera_motion, relative_motion
-from vergence.geometry.parameter_names import intrinsics_names
-from vergence.geometry.parameters import boxplus, parameter_names
+from vergence.geometry.head import parameter_names
+from vergence.geometry.parameters import boxplus
 from vergence.geometry.se3 import boxminus
 from vergence.stereo.extrinsics import T_rcam_lcam, camera_poses
 

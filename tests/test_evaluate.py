@@ -14,11 +14,11 @@ from vergence.cli.evaluation_reports import evaluation_report
 from vergence.errors import VergenceError
 from vergence.files import write_json
 from vergence.geometry.board import Chessboard
-from vergence.geometry.head import HeadCalibration, save_head
+from vergence.geometry.head import HeadCalibration, parameter_names, save_head
 from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics, Side
-from vergence.geometry.parameters import change_named, parameter_names, without_offsets
+from vergence.geometry.parameters import change_named, without_offsets
 from vergence.twin.evaluation import Evaluation, Truth, evaluate
 from vergence.twin.profile import ErrorProfile
 

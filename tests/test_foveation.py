@@ -19,7 +19,7 @@ from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import EYES, Side
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, pose, transform
-from vergence.stereo.depth_error import depth_error
+from vergence.stereo.uncertainty import depth_error
 from vergence.twin.head import Twin
 from vergence.twin.model import nominal_head
 from vergence.twin.profile import load_profile

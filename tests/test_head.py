@@ -18,13 +18,13 @@ from vergence.geometry.head import (
     T_narrow_wide,
     check_states_covariance,
     load_head,
+    parameter_names,
     save_head,
     stated_covariance,
     states_covariance,
 )
 from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.neck import Neck
-from vergence.geometry.parameters import parameter_names
 from vergence.geometry.se3 import inverse, transform
 
 NOT_CONVERGED = void("not-converged", "The estimate did not converge.")

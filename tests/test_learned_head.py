@@ -14,12 +14,9 @@ from simulated_frames import (
 )
 from simulated_matches import matches, room
 from vergence.findings import void
-from vergence.geometry.head import T_narrow_wide, load_head, save_head
+from vergence.geometry.head import T_narrow_wide, load_head, parameter_names, save_head
 from vergence.geometry.head_accuracy import Accuracy
-from vergence.geometry.parameter_names import PINHOLE
-from vergence.geometry.parameters import (
-    parameter_names,
-)
+from vergence.geometry.lens import PINHOLE
 from vergence.geometry.se3 import boxminus, pose, rotation
 from vergence.self_calibration.filter import learned_head, update
 from vergence.self_calibration.frame import estimate_from_matches

@@ -9,6 +9,7 @@ from pydantic import ValidationError
 
 from vergence.geometry.camera import (
     Camera,
+    intrinsics_names,
     normalise,
     pinhole,
     pixel_area,
@@ -18,7 +19,6 @@ from vergence.geometry.camera import (
     unproject,
 )
 from vergence.geometry.lens import COEFFICIENTS, CameraModel, reach
-from vergence.geometry.parameter_names import intrinsics_names
 from vergence.geometry.parameters import lens_of_vector, lens_vector
 
 seeds = st.integers(0, 2**32 - 1)

@@ -19,8 +19,8 @@ from vergence.calibration.lens_map import (
     pixel_covariance,
 )
 from vergence.errors import VergenceError
-from vergence.geometry.head import HeadCalibration
-from vergence.geometry.parameters import boxminus, parameter_names
+from vergence.geometry.head import HeadCalibration, parameter_names
+from vergence.geometry.parameters import boxminus
 
 
 @pytest.fixture(scope="module")

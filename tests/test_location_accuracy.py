@@ -13,17 +13,21 @@ from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
 from vergence.calibration.summary import DISTANCES_M, point_accuracy
 from vergence.geometry.eye_motion import eye_poses
-from vergence.geometry.head import HeadCalibration, stated_covariance
+from vergence.geometry.head import HeadCalibration, parameter_names, stated_covariance
 from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.lens import COEFFICIENTS
-from vergence.geometry.parameters import parameter_names
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import boxplus as moved
 from vergence.geometry.se3 import inverse
 from vergence.paper.figures import FIGURES, Figure
-from vergence.stereo.depth_error import depth_error, disparity_error
 from vergence.stereo.triangulation import triangulate_at
-from vergence.stereo.uncertainty import combination, locate, locate_jointly
+from vergence.stereo.uncertainty import (
+    combination,
+    depth_error,
+    disparity_error,
+    locate,
+    locate_jointly,
+)
 
 N = 100_000
 FOCAL_PX = {"2.8mm": 280.0, "4.0mm": 400.0}

@@ -20,15 +20,10 @@ from vergence.calibration.bundle_adjustment import BundleEstimate, bundle_adjust
 from vergence.calibration.calibrate import CalibrationResult, calibrate
 from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
-from vergence.geometry.head import HeadCalibration, main_pair
+from vergence.geometry.head import HeadCalibration, main_pair, parameter_names
 from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import Kinematics, Side
-from vergence.geometry.parameters import (
-    boxminus,
-    change_named,
-    parameter_names,
-    without_offsets,
-)
+from vergence.geometry.parameters import boxminus, change_named, without_offsets
 from vergence.geometry.projection import project_at
 from vergence.geometry.se3 import boxplus, pose, rotation, transform
 

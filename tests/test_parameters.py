@@ -11,13 +11,12 @@ from pydantic import TypeAdapter
 from simulated_head import plain_head, skewed_head
 from vergence.arrays import Array
 from vergence.errors import VergenceError
-from vergence.geometry.head import HeadCalibration, T_base_cam, without_accuracy
+from vergence.geometry.head import HeadCalibration, T_base_cam, parameter_names, without_accuracy
 from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.parameters import (
     boxminus,
     boxplus,
     change_named,
-    parameter_names,
     parameter_values,
     without_offsets,
 )

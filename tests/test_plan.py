@@ -37,9 +37,9 @@ from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
 from vergence.geometry.camera import project
 from vergence.geometry.eye_motion import eye_poses
-from vergence.geometry.head import HeadCalibration, pair_names, save_head
+from vergence.geometry.head import HeadCalibration, pair_names, parameter_names, save_head
 from vergence.geometry.kinematics import EYES, Kinematics
-from vergence.geometry.parameters import parameter_names, without_offsets
+from vergence.geometry.parameters import without_offsets
 from vergence.geometry.projection import T_lbase_cam, project_point
 from vergence.geometry.se3 import inverse, transform
 from vergence.stereo.uncertainty import locate

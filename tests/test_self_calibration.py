@@ -21,16 +21,11 @@ from simulated_frames import (
 )
 from simulated_matches import drawn_head, matches, room, squared_distance, turn_error_deg
 from vergence.errors import VergenceError
-from vergence.geometry.head import reading_stds
+from vergence.geometry.head import parameter_names, reading_stds
 from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import Side
-from vergence.geometry.parameters import (
-    boxplus,
-    change_between,
-    parameter_names,
-    parameter_values,
-)
+from vergence.geometry.parameters import boxplus, change_between, parameter_values
 from vergence.geometry.projection import project_point
 from vergence.self_calibration import filter as self_calibration_filter
 from vergence.self_calibration import prior

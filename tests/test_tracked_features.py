@@ -17,7 +17,8 @@ from simulated_frames import (
 )
 from simulated_matches import drawn_head, matches, room, squared_distance, tracked_features
 from vergence.estimation.linear import posterior
-from vergence.geometry.parameters import boxminus, boxplus, parameter_names
+from vergence.geometry.head import parameter_names
+from vergence.geometry.parameters import boxminus, boxplus
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
 from vergence.self_calibration.filter import update, update_with_tracked

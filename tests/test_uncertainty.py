@@ -20,9 +20,14 @@ from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.kinematics import EYES, Kinematics
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import boxplus, rotation
-from vergence.stereo.depth_error import depth_error, disparity_error
 from vergence.stereo.triangulation import triangulate_at
-from vergence.stereo.uncertainty import combination, locate, locate_jointly
+from vergence.stereo.uncertainty import (
+    combination,
+    depth_error,
+    disparity_error,
+    locate,
+    locate_jointly,
+)
 
 
 def test_depth_error_is_the_slope_of_depth_over_disparity():

@@ -34,9 +34,9 @@ from vergence.arrays import Array
 from vergence.calibration.bundle_adjustment import fixed_by_default
 from vergence.geometry.board import Chessboard, corner_points
 from vergence.geometry.camera import pinhole
-from vergence.geometry.head import R_EYE_CAM, WIDE, HeadCalibration, MountedCamera
+from vergence.geometry.head import R_EYE_CAM, WIDE, HeadCalibration, MountedCamera, parameter_names
 from vergence.geometry.kinematics import EYES, looking_along, pan_tilt_along
-from vergence.geometry.parameters import named_columns, parameter_names
+from vergence.geometry.parameters import named_columns
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import pose, rotation
 from vergence.stereo.linearised import linearised

@@ -18,12 +18,16 @@ from vergence.calibration.summary import DISTANCES_M
 from vergence.errors import VergenceError
 from vergence.gaze.foveation import solve_fixation
 from vergence.geometry.board import Board
-from vergence.geometry.head import HeadCalibration, T_head_base, check_states_covariance
+from vergence.geometry.head import (
+    HeadCalibration,
+    T_head_base,
+    check_states_covariance,
+    parameter_names,
+)
 from vergence.geometry.kinematics import looking_along
-from vergence.geometry.parameter_names import POSE
-from vergence.geometry.parameters import named_columns, parameter_names
+from vergence.geometry.parameters import named_columns
 from vergence.geometry.projection import project_point
-from vergence.geometry.se3 import inverse, transform
+from vergence.geometry.se3 import POSE, inverse, transform
 from vergence.stereo.linearised import by_head_parameters, linearised, pair_parameters
 from vergence.stereo.sightings import sightings
 

@@ -23,11 +23,11 @@ from vergence.estimation.adjustment import Adjustment, adjust
 from vergence.estimation.noise import Level
 from vergence.estimation.residual import OUTLIER, Levels, Residual
 from vergence.findings import Finding
-from vergence.geometry.head import HeadCalibration, main_pair
+from vergence.geometry.head import HeadCalibration, main_pair, parameter_names
 from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.lens import COEFFICIENTS
-from vergence.geometry.parameter_names import POSE
-from vergence.geometry.parameters import parameter_names, redundant_offsets
+from vergence.geometry.parameters import redundant_offsets
+from vergence.geometry.se3 import POSE
 
 SHOWN_SYSTEMATIC = 0.3
 """Systematic errors, relative to the noise of corners, that are no chance: of 36 simulated cameras

@@ -15,9 +15,9 @@ from vergence.errors import counted, listed
 from vergence.estimation.adjustment import Adjustment
 from vergence.estimation.noise import Level
 from vergence.findings import Finding, by_severity, void, warning
+from vergence.geometry.head import parameter_names
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.lens import COEFFICIENTS
-from vergence.geometry.parameters import parameter_names
 
 FEW = 6
 """Degrees of freedom below which an estimated noise level is heavy-tailed, and the covariance

@@ -40,10 +40,8 @@ from vergence.errors import VergenceError
 from vergence.estimation.residual import Residual
 from vergence.estimation.variables import Latent, Variables
 from vergence.geometry.board import corner_points
-from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import EYES, GEARED, Kinematics, reading_kinds
-from vergence.geometry.parameter_names import joint_names
-from vergence.geometry.parameters import parameter_names
+from vergence.geometry.head import HeadCalibration, parameter_names
+from vergence.geometry.kinematics import EYES, GEARED, Kinematics, joint_names, reading_kinds
 from vergence.geometry.se3 import angle, inverse, known_poses
 from vergence.vision.board_pose import LEAST_CORNERS, board_poses, determines_pose, seen_corners
 

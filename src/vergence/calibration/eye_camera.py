@@ -20,12 +20,10 @@ from vergence.errors import VergenceError
 from vergence.estimation.residual import OUTLIER
 from vergence.findings import Finding, warning
 from vergence.geometry.board import Chessboard
-from vergence.geometry.camera import Camera
-from vergence.geometry.head import HeadCalibration, MountedCamera
+from vergence.geometry.camera import Camera, intrinsics_names
+from vergence.geometry.head import HeadCalibration, MountedCamera, parameter_names
 from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import Kinematics, T_base_eye, check_turns, pan_tilt
-from vergence.geometry.parameter_names import intrinsics_names
-from vergence.geometry.parameters import parameter_names
 from vergence.geometry.se3 import check_rigid, known_poses
 from vergence.vision.board_pose import board_poses
 
@@ -79,7 +77,7 @@ def refine_eye_camera(
         joints: of the eye, whose readings are named in the order of their columns; None: pan and
             tilt. Of no use with poses.
         intrinsics_covariance: (n, n) of the intrinsics in the order of
-            `geometry.parameter_names.intrinsics_names`, as their prior; None: they are taken as
+            `geometry.camera.intrinsics_names`, as their prior; None: they are taken as
             exact.
         pixel_std_px: noise of one coordinate of a corner; None: estimated.
         joint_std: noise of the readings, [rad] or, for poses, ([rad], [m]); None: estimated; 0:

@@ -15,7 +15,7 @@ from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
 from vergence.geometry.camera import Camera, displaced_by_distortion
 from vergence.geometry.head_accuracy import LensAccuracy
-from vergence.geometry.parameter_names import PINHOLE
+from vergence.geometry.lens import PINHOLE
 from vergence.vision.board_pose import determines_pose, seen_corners
 
 LEAST_VIEWS = 3

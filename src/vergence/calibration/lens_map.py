@@ -13,9 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.geometry.camera import Camera, project_jacobians, unproject
+from vergence.geometry.camera import Camera, intrinsics_names, project_jacobians, unproject
 from vergence.geometry.head import HeadCalibration, stated_covariance, states_covariance
-from vergence.geometry.parameter_names import intrinsics_names
 from vergence.geometry.se3 import cross
 
 COLUMNS, ROWS = 12, 9

@@ -18,8 +18,7 @@ from vergence.calibration.priors import EQUIDISTANT, lens_block, lens_priors
 from vergence.estimation.least_squares import TOLERANCE, least_squares
 from vergence.estimation.variables import Variables
 from vergence.geometry.camera import Camera, pinhole
-from vergence.geometry.lens import distort
-from vergence.geometry.parameter_names import PINHOLE
+from vergence.geometry.lens import PINHOLE, distort
 from vergence.geometry.se3 import transform
 from vergence.vision.board_pose import (
     BoardViews,

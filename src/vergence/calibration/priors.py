@@ -19,8 +19,7 @@ from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.joints import joint_parameters
 from vergence.geometry.kinematics import EYES
-from vergence.geometry.lens import CameraModel
-from vergence.geometry.parameter_names import PINHOLE
+from vergence.geometry.lens import PINHOLE, CameraModel
 from vergence.geometry.parameters import (
     camera_columns,
     change_between,

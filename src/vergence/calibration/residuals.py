@@ -22,8 +22,7 @@ from vergence.estimation.variables import Variables
 from vergence.geometry.batches import product, times
 from vergence.geometry.eye_motion import eye_linearised
 from vergence.geometry.head import MountedCamera
-from vergence.geometry.kinematics import EYES, T_base_eye
-from vergence.geometry.parameter_names import joint_names
+from vergence.geometry.kinematics import EYES, T_base_eye, joint_names
 from vergence.geometry.parameters import (
     camera_columns,
     lens_vector,

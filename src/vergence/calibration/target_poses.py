@@ -27,7 +27,7 @@ from vergence.calibration.plausibility import implausible_geometry
 from vergence.calibration.residuals import TARGET_SHIFTS, TARGET_TURNS
 from vergence.errors import VergenceError, counted
 from vergence.findings import Finding, by_severity
-from vergence.geometry.camera import pinhole
+from vergence.geometry.camera import intrinsics_names, pinhole
 from vergence.geometry.head import HeadCalibration, MountedCamera, main_pair
 from vergence.geometry.kinematics import (
     EYES,
@@ -37,7 +37,6 @@ from vergence.geometry.kinematics import (
     check_turns,
     same_design,
 )
-from vergence.geometry.parameter_names import intrinsics_names
 from vergence.geometry.se3 import angle, check_rigid, inverse, known_poses, mean_pose
 
 LEAST_POSES = 3

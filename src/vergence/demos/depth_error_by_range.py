@@ -18,7 +18,7 @@ from vergence.gaze.commands import EYE_READINGS
 from vergence.gaze.state import GazeSettings, GazeState
 from vergence.geometry.head import T_body_base, T_head_base
 from vergence.geometry.se3 import inverse, transform
-from vergence.stereo.depth_error import depth_error, disparity_error
+from vergence.stereo.uncertainty import depth_error, disparity_error
 from vergence.twin.head import Twin
 from vergence.twin.simulated_robot import true_pixels
 

@@ -29,11 +29,6 @@ def batch_first(array: Array, ndim: int = 1) -> Array:
     return array.transpose(*range(ndim, array.ndim), *range(ndim)) if array.ndim > ndim else array
 
 
-def rows_in_memory(array: Array, ndim: int = 1) -> Array:
-    """Copy vectors, or with ndim 2 matrices, to an array whose batch is contiguous in memory."""
-    return batch_first(np.ascontiguousarray(batch_last(array, ndim)), ndim)
-
-
 def vector(*parts: Array | float) -> Array:
     """Stack components (...) to vectors (..., n); they broadcast."""
     if type(parts[0]) is not np.ndarray and type(parts[-1]) is not np.ndarray:

@@ -22,7 +22,7 @@ from vergence.arrays import Array, Matrix3, VectorN
 from vergence.errors import VergenceError
 from vergence.geometry import lens
 from vergence.geometry.batches import batch_first, batch_last, ignoring_invalid, vector
-from vergence.geometry.lens import COEFFICIENTS, CameraModel
+from vergence.geometry.lens import COEFFICIENTS, PINHOLE, CameraModel
 
 MAX_IMAGE_PX = 20_000
 MAX_IMAGE_AREA_PX = 50_000_000
@@ -121,6 +121,11 @@ class Camera:
     def coefficients(self) -> tuple[float, ...]:
         """The distortion, in plain numbers."""
         return tuple(self.distortion.tolist())
+
+
+def intrinsics_names(camera: Camera) -> tuple[str, ...]:
+    """List the names of a camera's intrinsics: fx, fy, cx, cy, k1, ..., in their order."""
+    return (*PINHOLE, *COEFFICIENTS[camera.model])
 
 
 def _pinhole(camera: Camera) -> tuple[float, float, float, float, float]:

@@ -13,11 +13,10 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.geometry.eye_motion import eye_linearised
-from vergence.geometry.head import HeadCalibration
-from vergence.geometry.parameter_names import POSE
-from vergence.geometry.parameters import camera_columns, parameter_names
+from vergence.geometry.head import HeadCalibration, parameter_names
+from vergence.geometry.parameters import camera_columns
 from vergence.geometry.projection import T_lbase_cam
-from vergence.geometry.se3 import hat, inverse
+from vergence.geometry.se3 import POSE, hat, inverse
 
 _UNIT = np.eye(len(POSE))
 

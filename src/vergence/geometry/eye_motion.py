@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vergence.arrays import Array
-from vergence.geometry.batches import batch_first, batch_last, product, rows_in_memory, times
-from vergence.geometry.chain import joint_frames, pose_of
+from vergence.geometry.batches import batch_first, batch_last, product, times
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.joints import axis_error
+from vergence.geometry.joints import axis_error, joint_frames, pose_of
 from vergence.geometry.kinematics import (
     EYES,
     Kinematics,
@@ -122,7 +121,8 @@ def eye_poses(head: HeadCalibration, joints: ArrayLike) -> Array:
     Measured poses (..., 2, 4, 4) are returned as they are. VergenceError if it is neither.
     """
     if measured(joints):
-        return rows_in_memory(np.asarray(joints, dtype=float), 3)
+        poses = batch_last(np.asarray(joints, dtype=float), 3)
+        return batch_first(np.ascontiguousarray(poses), 3)
     both = [T_base_eye(head.kinematics, eye, joints) for eye in EYES]
     return batch_first(np.stack([batch_last(T, 2) for T in both]), 3)
 

@@ -20,12 +20,18 @@ from pydantic.dataclasses import dataclass
 from vergence.arrays import Array, Transform
 from vergence.errors import VergenceError
 from vergence.files import read_json, write_json
-from vergence.geometry.camera import Camera
+from vergence.geometry.camera import Camera, intrinsics_names
 from vergence.geometry.head_accuracy import Accuracy
-from vergence.geometry.kinematics import EYES, Kinematics, Side, T_base_eye, reading_kinds
+from vergence.geometry.kinematics import (
+    EYES,
+    Kinematics,
+    Side,
+    T_base_eye,
+    joint_names,
+    reading_kinds,
+)
 from vergence.geometry.neck import Neck, T_body_head, chain_angles
-from vergence.geometry.parameter_names import names_of
-from vergence.geometry.se3 import inverse, pose
+from vergence.geometry.se3 import POSE, inverse, pose
 
 R_EYE_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Rotation of a camera that looks straight ahead, and of a board that faces it: z along the eye's
@@ -92,6 +98,31 @@ class HeadCalibration:
             known = ", ".join(self.cameras)
             raise VergenceError(f"No camera is called {name!r}; this head has: {known}.")
         return self.cameras[name]
+
+
+@lru_cache(maxsize=64)
+def parameter_names(head: HeadCalibration) -> tuple[str, ...]:
+    """List the names of the parameters of a head, in their order: see `geometry.parameters`."""
+    cameras = {name: intrinsics_names(each.intrinsics) for name, each in head.cameras.items()}
+    joints = tuple(name for eye in EYES for name in joint_names(head.kinematics, eye))
+    return _names(tuple(cameras.items()), joints)
+
+
+@lru_cache(maxsize=64)
+def _names(
+    lenses: tuple[tuple[str, tuple[str, ...]], ...], joints: tuple[str, ...]
+) -> tuple[str, ...]:
+    """List the names of all parameters, by those of each camera's lens and of the joints.
+
+    Remembered, since heads that an estimate changes many times a second keep theirs.
+    """
+    poses = tuple(f"T_eye_cam.{name}" for name in POSE)
+    return (
+        *(f"{camera}.{name}" for camera, lens in lenses for name in (*lens, *poses)),
+        *(f"T_rbase_lbase.{name}" for name in POSE),
+        *joints,
+        "time_offset_s",
+    )
 
 
 def states_covariance(head: HeadCalibration) -> bool:
@@ -265,8 +296,7 @@ def load_head(path: Path | str, *, allow_void: bool = False) -> HeadCalibration:
 def _check_accuracy_names(head: HeadCalibration, path: Path | str) -> None:
     if head.accuracy is None:
         return
-    cameras = {name: mounted.intrinsics for name, mounted in head.cameras.items()}
-    known = names_of(cameras, head.kinematics)
+    known = parameter_names(head)
     if unknown := [name for name in head.accuracy.parameters if name not in known]:
         raise VergenceError(
             f"{path} is not a head calibration: accuracy.parameters has {unknown[0][:80]!r}, which "

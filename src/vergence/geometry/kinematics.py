@@ -20,11 +20,12 @@ from pydantic.dataclasses import dataclass
 
 from vergence.arrays import Array, floats
 from vergence.errors import VergenceError
-from vergence.geometry.chain import Chain, chain_pose
 from vergence.geometry.joints import (
     PARALLEL,
+    Chain,
     Joint,
     ReadingName,
+    chain_pose,
     common_normal,
     eye_chain,
     joint_parameters,
@@ -104,6 +105,12 @@ class Kinematics:
         mixing = self.chains[eye].mixing != 0
         _, used = np.nonzero(mixing)  # joint by joint
         return list(dict.fromkeys(used.tolist()))
+
+
+def joint_names(kinematics: Kinematics, eye: Side) -> tuple[str, ...]:
+    """List the names of the parameters of an eye's joints, such as left.pan_gain."""
+    joints = kinematics.eyes[eye]
+    return tuple(f"{eye}.{joints[k].name}_{name}" for k, name in kinematics.parameters[eye])
 
 
 def _check_joints(whose: str, joints: tuple[Joint, ...], readings: tuple[str, ...]) -> None:

@@ -28,6 +28,8 @@ COEFFICIENTS: dict[CameraModel, tuple[str, ...]] = {
     "fisheye": ("k1", "k2", "k3", "k4"),
 }
 """The names of the distortion coefficients, in their order."""
+PINHOLE = ("fx", "fy", "cx", "cy")
+"""The names of the other intrinsics of a camera."""
 
 Coefficients = tuple[float, ...]
 _SMALLEST_RADIUS = 1e-9

@@ -12,7 +12,7 @@ from pydantic.dataclasses import dataclass
 
 from vergence.arrays import MAX_M, Array, Vector3, Vectors3
 from vergence.errors import VergenceError, counted
-from vergence.geometry.chain import Chain, chain_pose
+from vergence.geometry.joints import Chain, chain_pose
 from vergence.geometry.kinematics import MAX_JOINTS
 
 NeckJoint = Literal["neck_pitch", "neck_roll", "neck_yaw"]

@@ -18,18 +18,11 @@ from vergence.arrays import MAX_M, Array, replace_unchecked
 from vergence.errors import VergenceError
 from vergence.geometry import se3
 from vergence.geometry.camera import MAX_NUMBER, MIN_FOCAL_PX, Camera
-from vergence.geometry.head import HeadCalibration, MountedCamera
+from vergence.geometry.head import HeadCalibration, MountedCamera, parameter_names
 from vergence.geometry.joints import change_joints, joint_value
 from vergence.geometry.kinematics import EYES, Kinematics
-from vergence.geometry.parameter_names import PINHOLE, POSE, names_of
-from vergence.geometry.se3 import inverse, pose, rotation
-
-
-@lru_cache(maxsize=64)
-def parameter_names(head: HeadCalibration) -> tuple[str, ...]:
-    """List the names of the parameters of a head, in their order."""
-    cameras = {name: mounted.intrinsics for name, mounted in head.cameras.items()}
-    return names_of(cameras, head.kinematics)
+from vergence.geometry.lens import PINHOLE
+from vergence.geometry.se3 import POSE, inverse, pose, rotation
 
 
 def named_columns(head: HeadCalibration, names: Sequence[str]) -> list[int]:

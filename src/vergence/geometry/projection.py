@@ -84,7 +84,7 @@ class ProjectionJacobians:
     pixels: Array
     """(..., 2); NaN for points that are not in front of the camera."""
     by_lens: Array
-    """(..., 2, n) by the intrinsics, in the order of `parameter_names.intrinsics_names`."""
+    """(..., 2, n) by the intrinsics, in the order of `camera.intrinsics_names`."""
     by_T_eye_cam: Array
     """(..., 2, 6)."""
     by_T_base_eye: Array

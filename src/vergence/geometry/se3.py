@@ -14,6 +14,9 @@ from vergence.arrays import Array, floats
 from vergence.errors import VergenceError
 from vergence.geometry.batches import batch_first, batch_last
 
+POSE = ("rx", "ry", "rz", "tx", "ty", "tz")
+"""The names of the increments of a pose: see `boxplus`."""
+
 
 def pose(R: ArrayLike | None = None, t: ArrayLike | None = None) -> Array:
     """Assemble T from rotation R (..., 3, 3) and translation t (..., 3); left out: none."""

@@ -15,8 +15,8 @@ from vergence.geometry.head import WIDE, HeadCalibration
 from vergence.geometry.kinematics import straight_gaze
 from vergence.paper.comparison import PAPER
 from vergence.paper.replay import Replay, summaries
-from vergence.stereo.depth_error import depth_error, disparity_error
 from vergence.stereo.extrinsics import camera_poses
+from vergence.stereo.uncertainty import depth_error, disparity_error
 from vergence.twin.profile import ErrorProfile
 from vergence.twin.sensors import read
 from vergence.twin.simulated_robot import LOOK_S

@@ -21,6 +21,7 @@ from vergence.geometry import se3
 from vergence.geometry.camera import (
     Camera,
     displaced_by_distortion,
+    intrinsics_names,
     pixel_grid,
     project,
     unproject,
@@ -28,19 +29,15 @@ from vergence.geometry.camera import (
 from vergence.geometry.head import (
     HeadCalibration,
     pair_names,
+    parameter_names,
     reading_stds,
     stated_covariance,
     states_covariance,
 )
 from vergence.geometry.kinematics import EYES, straight_gaze
-from vergence.geometry.lens import COEFFICIENTS
-from vergence.geometry.parameter_names import PINHOLE, POSE, intrinsics_names
-from vergence.geometry.parameters import (
-    is_gain,
-    parameter_names,
-    parameter_values,
-    redundant_offsets,
-)
+from vergence.geometry.lens import COEFFICIENTS, PINHOLE
+from vergence.geometry.parameters import is_gain, parameter_values, redundant_offsets
+from vergence.geometry.se3 import POSE
 from vergence.self_calibration.residuals import epipolar_residuals, pair_coordinates
 from vergence.self_calibration.state import FilterState, PriorSnapshot
 

@@ -30,10 +30,9 @@ from vergence.geometry.batches import (
     times_transposed,
     vector,
 )
-from vergence.geometry.camera import Camera, normalise_jacobian, project_jacobians
+from vergence.geometry.camera import Camera, intrinsics_names, normalise_jacobian, project_jacobians
 from vergence.geometry.camera_motion import RelativeMotion, camera_motion, relative_motion
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.parameter_names import intrinsics_names
 from vergence.geometry.parameters import camera_columns, named_columns
 from vergence.geometry.projection import by_pose_of_points
 from vergence.geometry.se3 import cross

@@ -40,7 +40,7 @@ class FilterState:
     cameras: tuple[str, str]
     """Names of the left and the right camera."""
     names: tuple[str, ...]
-    """The P estimated parameters, as in `parameters.parameter_names`."""
+    """The P estimated parameters, as in `head.parameter_names`."""
     covariance: Array
     """(P, P)"""
     prior: PriorSnapshot

@@ -20,8 +20,13 @@ from vergence.geometry.batches import (
     vector,
 )
 from vergence.geometry.eye_motion import eye_motions
-from vergence.geometry.head import HeadCalibration, stated_covariance, states_covariance
-from vergence.geometry.parameters import camera_columns, parameter_names
+from vergence.geometry.head import (
+    HeadCalibration,
+    parameter_names,
+    stated_covariance,
+    states_covariance,
+)
+from vergence.geometry.parameters import camera_columns
 from vergence.geometry.projection import project_with_jacobians
 from vergence.geometry.se3 import cross
 from vergence.stereo.sightings import Sightings

@@ -216,3 +216,19 @@ def combination(
     for shared in (by_readings, by_head @ factor):
         covariance += shared @ shared.T
     return total, covariance
+
+
+def depth_error(
+    depth_m: ArrayLike, baseline_m: ArrayLike, focal_px: ArrayLike, disparity_error_px: ArrayLike
+) -> Array:
+    """Compute the depth error (...) [m], from the camera centres, by one of disparity (Eq. 20).
+
+    Eqs. 20 and 21 hold for two parallel cameras, on the optical axis; `locate` for all others.
+    """
+    depth, baseline, focal = (np.asarray(a, float) for a in (depth_m, baseline_m, focal_px))
+    return depth**2 / (baseline * focal) * np.asarray(disparity_error_px, float)
+
+
+def disparity_error(focal_px: ArrayLike, orientation_error_rad: ArrayLike) -> Array:
+    """Compute the error (...) [px] in disparity by a wrong angle between the cameras (Eq. 21)."""
+    return np.asarray(focal_px, float) * np.tan(np.asarray(orientation_error_rad, float))
