@@ -5,7 +5,7 @@ import pytest
 
 from head_kinds import KINDS, head_of
 from vergence.geometry.camera import intrinsics_names
-from vergence.geometry.camera_motion import camera_motion, relative_motion
+from vergence.geometry.eye_motion import camera_motion, relative_motion
 from vergence.geometry.head import parameter_names
 from vergence.geometry.parameters import boxplus
 from vergence.geometry.se3 import boxminus

@@ -23,7 +23,7 @@ from vergence.self_calibration.filter import update
 from vergence.self_calibration.frame import estimate_from_matches
 from vergence.self_calibration.kalman import predict
 from vergence.self_calibration.prior import DRIFT, UNCALIBRATED, tolerance_covariance
-from vergence.self_calibration.state import FilterState, PriorSnapshot
+from vergence.self_calibration.state import FilterState
 from vergence.twin.model import nominal_head
 
 
@@ -102,7 +102,7 @@ def test_gains_beyond_what_is_stated_are_reported_and_learned(seed, settled):
     gains = [k for k, name in enumerate(state.names) if name.endswith("_gain")]
     C = 0.01 * state.covariance
     C[np.ix_(gains, gains)] = 1e-3**2 * np.eye(len(gains))
-    state = replace(state, covariance=C, prior=PriorSnapshot(state.head, C), settled=settled)
+    state = replace(state, covariance=C, prior_head=state.head, prior_covariance=C, settled=settled)
     truth = change_named(
         drawn_head(state, rng), [state.names[k] for k in gains], rng.choice([-0.02, 0.02], 4)
     )
@@ -199,8 +199,8 @@ def test_in_a_pause_all_that_is_known_fades():
     later = predict(state, pause_s)
     drift = tolerance_covariance(state.head, state.names, DRIFT) * pause_s / 60
     # Of where it was learned from too: else drift would look like a head that was never calibrated.
-    for before, after in ((state, later), (state.prior, later.prior)):
-        np.testing.assert_allclose(after.covariance, before.covariance + drift)
+    np.testing.assert_allclose(later.covariance, state.covariance + drift)
+    np.testing.assert_allclose(later.prior_covariance, state.prior_covariance + drift)
     assert state.revisits is not None
     assert later.revisits is not None
     np.testing.assert_allclose(later.revisits.ages_s, state.revisits.ages_s + pause_s)

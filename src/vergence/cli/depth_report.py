@@ -50,7 +50,7 @@ def write_depth(out: Path, sequence: DepthSequence, progress: Progress) -> Repor
             shares.append((np.isfinite(dense.depth_m).mean(), dense.textured.mean()))
             rows_rad.append(row_difference_rad(moment, pair))
             noises_rad.append(row_noise_rad(pair))
-            log_depth(rec, head, index=k, moment=moment, pair=pair, found=dense)
+            log_depth(rec, index=k, moment=moment, pair=pair, found=dense)
             progress("dense depth, pairs", k + 1, count)
         matched, textured = np.mean(shares, axis=0)
         stds, known = np.concatenate(relative_stds), np.isfinite(rows_rad)

@@ -27,7 +27,6 @@ from vergence.self_calibration.dense_pairs import (
     PairDepth,
     StereoImages,
     depth_by,
-    depth_of,
 )
 from vergence.stereo.dense_depth import DenseDepth
 from vergence.stereo.extrinsics import T_rcam_lcam, stereo_cameras
@@ -174,19 +173,13 @@ def _pairs(
         angles = twin.true_angles()[EYE_READINGS]
         frame = twin.capture((left, right))
         visual = None if visual is None else update_geometry(visual, frame)
-        images = StereoImages(
-            time_s=STEP_S * k,
-            joints=frame.eye_angles,
-            left=frame.images[left],
-            right=frame.images[right],
-            seen=None if visual is None else visual.latest,
-        )
+        images = StereoImages(STEP_S * k, frame.images[left], frame.images[right])
         truth = DepthTruth(twin.truth, angles, twin.true_depth(left))
-        found = depth_by(images, head, images.joints, joint_std_rad=joint_std_rad)
+        found = depth_by(images, head, frame.eye_angles, joint_std_rad=joint_std_rad)
         errors["joints"].append(depth_errors(*found, truth))
         true = depth_by(images, truth.head, truth.eye_angles)
         errors["true_geometry"].append(depth_errors(*true, truth))
-        if images.seen is not None:
-            found = depth_of(images, head)
+        if visual is not None:
+            found = depth_by(images, head, frame.eye_angles, seen=visual.latest)
             errors["seen"].append(depth_errors(*found, truth))
         yield images, found

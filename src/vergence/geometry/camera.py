@@ -55,13 +55,9 @@ def is_image_size(size: Any) -> bool:
 
 
 def check_image_fits(name: str, camera: Camera, shape: Sequence[int], *, whose: str) -> None:
-    """Raise VergenceError if images are not as large as those that a camera was calibrated with.
+    """Raise VergenceError if images (H, W, ...) have another size than the calibration of a camera.
 
-    Args:
-        name: of the camera, for the message.
-        camera: its intrinsics.
-        shape: (H, W, ...) of an image.
-        whose: images they are, for the message, such as "the frame's".
+    The message names the camera and says whose images they are, such as "the frame's".
     """
     if tuple(shape[:2]) != (camera.height, camera.width):
         raise VergenceError(

@@ -191,13 +191,9 @@ def turn_by_readings(chain: Chain) -> Array:
 
 
 def least_readings(by_reading: Array, turn: Array) -> Array:
-    """Compute the smallest readings (..., r) for which by_reading @ readings is nearest to a turn.
+    """Compute the smallest readings (..., r) that turn by nearly (..., n), as each turns by (n, r).
 
     Directions do not count that nearly parallel axes reach only by turning far against each other.
-
-    Args:
-        by_reading: (n, r) turn that each reading makes.
-        turn: (..., n) wanted turns.
     """
     # By the turn that each reading makes, so that one before a gear counts as any other.
     size = np.linalg.norm(by_reading, axis=0)

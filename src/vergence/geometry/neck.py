@@ -78,13 +78,8 @@ def checked_neck_angles(angles: ArrayLike) -> Array:
 def chain_angles(neck: Neck, neck_angles: Array) -> Array:
     """Select the angles (..., n) [rad] of a neck's own joints, from the body outwards.
 
-    Args:
-        neck: the neck.
-        neck_angles: (..., 3) [rad] in the order of NECK_JOINTS, as of a frame; those that follow,
-            such as the eyes' in a posture, are ignored.
-
-    Raises:
-        VergenceError: the neck has joints that are not named, and are not three.
+    Those of a frame are (..., 3) in the order of NECK_JOINTS; further ones, such as the eyes' in a
+    posture, are ignored. VergenceError if the neck has joints that are not named, and not three.
     """
     check_named(neck)
     return neck_angles[..., [NECK_JOINTS.index(name) for name in neck.names]]

@@ -135,9 +135,8 @@ def project_with_jacobians(
 def _by_pose(by_point: Array, arm: Array) -> Array:
     """Compute derivatives (..., 2, 6) by the pose of a frame, of pixels of a point that stays.
 
-    Args:
-        by_point: (..., 2, 3) derivatives by the point, along the axes of the increment.
-        arm: (..., 3) the point from the frame's origin, along the same axes.
+    Derivatives by the point (..., 2, 3) and its arm (..., 3) from the frame's origin are along the
+    axes of the increment.
     """
     found = batch_first(np.empty((2, 6, *by_point.shape[:-2])), 2)
     for k in (0, 1):
@@ -149,10 +148,7 @@ def _by_pose(by_point: Array, arm: Array) -> Array:
 def by_pose_of_points(by_point: Array, turned: Array) -> Array:
     """Compute derivatives (..., 2, 6) by the pose of a body to which the points are fixed.
 
-    Args:
-        by_point: (..., 2, 3) derivatives by the points.
-        turned: (..., 3) the points from the body's origin, along the axes of the frame that its
-            pose maps into.
+    The points (..., 3) from the body's origin are turned into the frame that its pose maps into.
     """
     found = batch_first(np.empty((2, 6, *by_point.shape[:-2])), 2)
     for k in (0, 1):

@@ -107,18 +107,9 @@ def predict_geometry(geometry: VisualGeometry, time_s: float) -> VisualGeometry:
 def update_with_estimate(
     geometry: VisualGeometry, estimate: FrameEstimate, neck: Array
 ) -> VisualGeometry:
-    """Update the filter with a frame that was estimated from its predicted state.
-
-    Args:
-        geometry: predicted to the frame's time.
-        estimate: the frame.
-        neck: (3,) readings of the neck [rad].
-    """
-    state, time_s, readings = (
-        replace(geometry.state, change=None),
-        geometry.time_s,
-        estimate.readings,
-    )
+    """Update the filter, as predicted to a frame's time, with its estimate and neck angles (3,)."""
+    state, time_s = replace(geometry.state, change=None), geometry.time_s
+    readings = estimate.readings
     if time_s is None or geometry.updated_s is None or geometry.updated_at is None:
         return VisualGeometry(state, estimate, time_s, time_s, readings, neck)
     elapsed_s = time_s - geometry.updated_s

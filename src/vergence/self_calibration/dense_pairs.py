@@ -24,7 +24,6 @@ from vergence.self_calibration.robust_fit import FEWEST
 from vergence.self_calibration.state import FrameEstimate
 from vergence.stereo.dense_depth import DenseDepth, dense_depth
 from vergence.stereo.rectification import RectifiedPair, rectify
-from vergence.stereo.uncertainty import LocatedPoints
 from vergence.vision.matching.scene_features import match_scene
 
 MISALIGNED = 4.2
@@ -36,15 +35,11 @@ LEAST_MISALIGNED_RAD = float(np.radians(0.1))
 
 @dataclass(frozen=True, eq=False)
 class StereoImages:
-    """Images of a pair, and the posture of the eyes."""
+    """Images of both eyes at one moment."""
 
     time_s: float
-    joints: Array
-    """Readings [rad], or measured poses (2, 4, 4)."""
     left: np.ndarray
     right: np.ndarray
-    seen: FrameEstimate | None = None
-    """Geometry that both eyes see; None: the joint readings are used."""
 
 
 PairDepth = tuple[RectifiedPair, DenseDepth]
@@ -93,8 +88,8 @@ def dataset_depth(
                 time_s = frame.time_s - float(dataset.time_s[0])
                 images = frame.images[left], frame.images[right]
                 seen = None if known is None else known.latest
-                moment = StereoImages(time_s, both.joints[k], *images, seen=seen)
-                yield moment, depth_of(moment, head)
+                moment = StereoImages(time_s, *images)
+                yield moment, depth_by(moment, head, both.joints[k], seen=seen)
 
     return DepthSequence(head, read(), len(chosen), len(wanted) - len(chosen))
 
@@ -107,24 +102,22 @@ def _rectification_error(head: HeadCalibration, joints: Array) -> VergenceError 
     return None
 
 
-def depth_of(moment: StereoImages, head: HeadCalibration) -> PairDepth:
-    """Compute the depth of a pair by the geometry that is seen or, without one, by the joints."""
-    seen = moment.seen
-    if seen is None:
-        return depth_by(moment, head, moment.joints)
-    located = partial(locate_in_frame, seen, pixel_std_px=0.0)
-    return depth_by(moment, seen.head, seen.joints, located=located)
-
-
 def depth_by(
     moment: StereoImages,
     head: HeadCalibration,
     joints: Array,
     *,
     joint_std_rad: float | None = None,
-    located: Callable[..., LocatedPoints] | None = None,
+    seen: FrameEstimate | None = None,
 ) -> PairDepth:
-    """Compute the depth of a pair by a head and joints; options are those of `dense_depth`."""
+    """Compute the depth of a pair by a head and joints, or by what both eyes see of these.
+
+    Joints are readings [rad] or measured poses (2, 4, 4), and their noise is that of `dense_depth`.
+    """
+    located = None
+    if seen is not None:
+        head, joints = seen.head, seen.joints
+        located = partial(locate_in_frame, seen, pixel_std_px=0.0)
     pair, images = rectify(head, joints), (moment.left, moment.right)
     found = dense_depth(pair, *images, joint_std_rad=joint_std_rad, located=located)
     return pair, found

@@ -36,7 +36,6 @@ from vergence.self_calibration.state import (
     FrameEstimate,
     FrameRecord,
     HeadChange,
-    PriorSnapshot,
     TrackedFeatures,
 )
 
@@ -59,12 +58,7 @@ _TESTED = 8
 
 
 def update(state: FilterState, estimate: FrameEstimate) -> FilterState:
-    """Update the filter with a frame that was estimated from its predicted state.
-
-    Args:
-        state: predicted for the frame; see `kalman.predict`.
-        estimate: the frame, from `frame.estimate_frame`.
-    """
+    """Update the filter with a frame that was estimated from its predicted state."""
     tracked = None
     if estimate.evidence is not None and worth_tracking(state, estimate):
         tracked = track_keyframe(state, estimate)
@@ -102,7 +96,7 @@ def update_with_tracked(
 def _release(state: FilterState, tolerance: Tolerance) -> FilterState:
     """Add a tolerance to the covariance of the head, and start again from there."""
     C = state.covariance + tolerance_covariance(state.head, state.names, tolerance)
-    return replace(state, covariance=C, prior=PriorSnapshot(state.head, C), settled=False)
+    return replace(state, covariance=C, prior_head=state.head, prior_covariance=C, settled=False)
 
 
 def _restart(state: FilterState) -> FilterState:

@@ -88,14 +88,10 @@ def estimate_from_matches(
     images: tuple[np.ndarray, np.ndarray] | None = None,
     at_head: bool = False,
 ) -> FrameEstimate:
-    """Estimate head and joint angles from the matches of a pair of images.
+    """Estimate head and joint angles from the matches of a pair, at readings (r,) [rad].
 
-    Args:
-        state: predicted for the frame.
-        matches: of the pair.
-        joints: (r,) readings [rad].
-        images: grey images of the matches; None: features are not tracked to or from this frame.
-        at_head: linearise residuals at the state's head instead of the frame's own.
+    Without its grey images features are not tracked to or from this frame. `at_head`: residuals are
+    linearised at the state's head instead of the frame's own.
     """
     prior = FrameEstimate(
         head=state.head,

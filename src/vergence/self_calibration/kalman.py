@@ -54,7 +54,7 @@ def predict(state: FilterState, elapsed_s: float) -> FilterState:
     return replace(
         state,
         covariance=state.covariance + drift,
-        prior=replace(state.prior, covariance=state.prior.covariance + drift),
+        prior_covariance=state.prior_covariance + drift,
         revisits=None if revisits is None else predict_revisits(revisits, elapsed_s),
         time_s=state.time_s + elapsed_s,
     )
@@ -69,11 +69,8 @@ def kalman_update(
 ) -> FilterState:
     """Update head and noise levels with a frame that passed the innovation gate.
 
-    Args:
-        state: predicted for the frame.
-        estimate: the frame, with its evidence about the state's head.
-        tracked: features of the keyframe in it.
-        at: head at which all frames are linearised; None: each at its own.
+    The state is predicted for the frame, whose evidence is about its head. All frames are
+    linearised `at` one head or, without it, each at its own.
     """
     evidence, P = estimate.evidence, len(state.names)
     assert evidence is not None
@@ -138,10 +135,10 @@ def contradicts_prior(state: FilterState) -> bool:
     The difference of two estimates, the prior and the state, is distributed by the difference of
     their covariances. It shows a change that is too small for a few frames, such as that of a gain.
     """
-    before = state.prior
-    change = change_between(state.head, before.head, state.names)
-    std = np.sqrt(np.diag(before.covariance))
-    size, axes = np.linalg.eigh(before.covariance / std / std[:, None])
+    before = state.prior_covariance
+    change = change_between(state.head, state.prior_head, state.names)
+    std = np.sqrt(np.diag(before))
+    size, axes = np.linalg.eigh(before / std / std[:, None])
     whiten = axes.T / std / np.sqrt(np.maximum(size, 1e-12))[:, None]
     after = whiten @ state.covariance @ whiten.T
     values, directions = np.linalg.eigh((after + after.T) / 2)

@@ -39,7 +39,7 @@ from vergence.geometry.lens import COEFFICIENTS, PINHOLE
 from vergence.geometry.parameters import is_gain, parameter_values, redundant_offsets
 from vergence.geometry.se3 import POSE
 from vergence.self_calibration.residuals import epipolar_residuals, pair_coordinates
-from vergence.self_calibration.state import FilterState, PriorSnapshot
+from vergence.self_calibration.state import FilterState
 
 Changed = Literal["nothing", "little", "anything"]
 """What may have changed since a calibration: nothing right after it; little by transport,
@@ -170,7 +170,8 @@ def initial_state(
         cameras=pair,
         names=names,
         covariance=C,
-        prior=PriorSnapshot(head, C),
+        prior_head=head,
+        prior_covariance=C,
         joint_std_rad=rms,
         noise_ratios=stds / rms / factors,
         systematic_px=(systematic.get(pair[0], 0.0), systematic.get(pair[1], 0.0)),

@@ -31,7 +31,7 @@ from vergence.geometry.batches import (
     vector,
 )
 from vergence.geometry.camera import Camera, intrinsics_names, normalise_jacobian, project_jacobians
-from vergence.geometry.camera_motion import RelativeMotion, camera_motion, relative_motion
+from vergence.geometry.eye_motion import RelativeMotion, camera_motion, relative_motion
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import camera_columns, named_columns
 from vergence.geometry.projection import by_pose_of_points
@@ -144,14 +144,9 @@ def epipolar_residuals(
 def motion_residuals(
     lens: Camera, T_now_before: Array, *, earlier: Array, later: Array, depths_m: Array
 ) -> MotionResiduals:
-    """Compute the residuals of points that a camera saw before and sees now.
+    """Compute the residuals of points that a camera saw earlier and sees now, at pixels (N, 2).
 
-    Args:
-        lens: of the camera.
-        T_now_before: (4, 4) of it.
-        earlier: (N, 2) pixels then.
-        later: (N, 2) pixels now.
-        depths_m: (N,) of the points along the optical axis, then.
+    Their depths (N,) were along its optical axis at the earlier moment.
     """
     R, t = T_now_before[:3, :3], T_now_before[:3, 3]
     xy, by_earlier = normalise_jacobian(lens, earlier)

@@ -17,18 +17,8 @@ from vergence.geometry.head import HeadCalibration
 from vergence.self_calibration.match_noise import RevisitCorrelation
 from vergence.vision.matching.scene_features import Matches
 
-FrameStatus = Literal["seen", "little seen", "contradiction"]
 HeadChange = Literal["camera turned", "head uncalibrated"]
 """A camera was turned, or the head is outside the covariance of its calibration."""
-
-
-@dataclass(frozen=True, eq=False)
-class PriorSnapshot:
-    """Head and covariance from which the filter started, or restarted after a change."""
-
-    head: HeadCalibration
-    covariance: Array
-    """(P, P), with the process noise since then."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +33,10 @@ class FilterState:
     """The P estimated parameters, as in `head.parameter_names`."""
     covariance: Array
     """(P, P)"""
-    prior: PriorSnapshot
+    prior_head: HeadCalibration
+    """From which the filter started, or restarted after a change."""
+    prior_covariance: Array
+    """(P, P) at that start, with the process noise since then."""
     joint_std_rad: float
     """Noise of the readings times their gear factors, rms over the readings."""
     noise_ratios: Array
@@ -121,7 +114,7 @@ class FrameEstimate:
     matches: Matches
     weights: Array
     """(N,) robust weights, from 0 for an outlier to 1."""
-    status: FrameStatus
+    status: Literal["seen", "little seen", "contradiction"]
     evidence: Evidence | None
     """None: too few matches fit."""
     novelty: float = 1.0

@@ -130,12 +130,7 @@ def _by_pixels(left: Array, right: Array, variances: Array) -> Array:
     Three pixel coordinates determine a point: both of the left image, and in the right one that
     along the epipolar line. The fourth is how far the rays miss each other, and the pixels share
     this in proportion to their variances. By the implicit function theorem, of the point whose
-    projections are nearest to its pixels.
-
-    Args:
-        left: (..., 2, 3) derivatives of the left pixel by the point.
-        right: (..., 2, 3) the same of the right one.
-        variances: (..., 4) of left u, left v, right u, right v.
+    projections are nearest to its pixels, whose derivatives by it are left and right (..., 2, 3).
     """
     a, b = left[..., 0, :], left[..., 1, :]
     ray = cross(a, b)

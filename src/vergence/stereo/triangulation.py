@@ -93,13 +93,8 @@ def _coplanar_rays(
     """Compute the rays (..., 3) of pixels, corrected so that each pair lies in one plane.
 
     The pixels are moved onto each other's epipolar lines by the least sum of squares relative to
-    their variances: Sampson's correction, to first order the maximum of the likelihood.
-
-    Args:
-        seen: the pixels.
-        lenses: of the left and the right camera.
-        rotations: (..., 3, 3) of the cameras, in the frame in which the rays are returned.
-        base: (..., 3) from the left to the right camera, in this frame.
+    their variances: Sampson's correction, to first order the maximum of the likelihood. The base
+    (..., 3) from the left to the right camera, and their rotations, are in the frame of the rays.
     """
     pixels, variances = (seen.left, seen.right), seen.variances
     found = [normalise_jacobian(lens, uv) for lens, uv in zip(lenses, pixels, strict=True)]

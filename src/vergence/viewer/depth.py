@@ -11,7 +11,6 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from vergence.geometry.eye_motion import eye_poses
-from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.projection import T_lbase_eye
 from vergence.self_calibration.dense_pairs import StereoImages
@@ -51,7 +50,6 @@ def depth_blueprint() -> rrb.Blueprint:
 
 def log_depth(
     rec: rr.RecordingStream,
-    head: HeadCalibration,
     *,
     index: int,
     moment: StereoImages,
@@ -60,10 +58,8 @@ def log_depth(
 ) -> None:
     """Record one pair, its depth, and the eyes as the pair was rectified."""
     set_time(rec, moment.time_s, index)
-    seen = moment.seen
-    head, joints = (head, moment.joints) if seen is None else (seen.head, seen.joints)
-    for eye, T in zip(EYES, eye_poses(head, joints), strict=True):
-        rec.log(f"world/{eye}_eye", placed(T_lbase_eye(eye, head.T_rbase_lbase, T)))
+    for eye, T in zip(EYES, eye_poses(pair.head, pair.joints), strict=True):
+        rec.log(f"world/{eye}_eye", placed(T_lbase_eye(eye, pair.head.T_rbase_lbase, T)))
     log_image(rec, "rectified/left", found.image)
     log_image(rec, "rectified/right", rectified_image(pair.right, moment.right))
     std_m = np.where(np.isfinite(found.depth_m), found.std_m, np.nan)
