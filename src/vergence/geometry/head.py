@@ -176,6 +176,7 @@ def pixel_stds(head: HeadCalibration, cameras: tuple[str, str] | None) -> Array:
     return np.repeat([accuracy.camera_std_px.get(name, typical) for name in pair], 2)
 
 
+@lru_cache(maxsize=64)
 def reading_stds(head: HeadCalibration) -> Array:
     """Look up the stated noise of each reading (r,) [rad]; 0: not stated."""
     accuracy, kinds = head.accuracy, reading_kinds(head.kinematics)

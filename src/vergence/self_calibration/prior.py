@@ -163,7 +163,13 @@ def initial_state(
         stds = np.full(len(factors), JOINT_STD_RAD)
     stds = np.maximum(stds, LEAST_JOINT_STD_RAD)
     rms = float(np.sqrt(np.mean(stds**2)))
-    C = prior_covariance(head, names, pair, moved=changed != "nothing")
+    moved = tolerance_covariance(head, names, MOVED)
+    C = moved * _JUST_CALIBRATED if changed == "nothing" else moved
+    if states_covariance(head):
+        rows, stated = stated_covariance(head, names)
+        C[np.ix_(rows, rows)] += stated
+    else:
+        C = C + _procedure_covariance(head, names, pair)
     systematic = accuracy.systematic_px if accuracy else {}
     return FilterState(
         head=head,
@@ -198,25 +204,6 @@ def estimated_names(head: HeadCalibration, cameras: tuple[str, str]) -> tuple[st
 
     excluded = {"time_offset_s"} | redundant_offsets(head.kinematics).difference(stated)
     return tuple(n for n in parameter_names(head) if wanted(n) and n not in excluded)
-
-
-def prior_covariance(
-    head: HeadCalibration,
-    names: tuple[str, ...],
-    cameras: tuple[str, str],
-    *,
-    moved: bool = True,
-) -> Array:
-    """Compute the covariance (P, P) of parameters before the first frame.
-
-    It allows for small changes since the calibration, if the head may have moved.
-    """
-    C = tolerance_covariance(head, names, MOVED) * (1.0 if moved else _JUST_CALIBRATED)
-    if not states_covariance(head):
-        return C + _procedure_covariance(head, names, cameras)
-    rows, stated = stated_covariance(head, names)
-    C[np.ix_(rows, rows)] += stated
-    return C
 
 
 def remaining_covariance(

@@ -178,15 +178,11 @@ def _map(
     for top in range(0, height, _ROWS):
         rows = slice(top, top + _ROWS)
         u, v = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float)[rows])
-        maps[:, rows] = batch_last(_pixels_of_rays(camera, times(R_cam_rays, vector(u, v, 1.0))))
+        rays = times(R_cam_rays, vector(u, v, 1.0))
+        good = in_reach(camera, *batch_last(rays))[..., None]
+        pixels = np.where(good, project(camera, rays), _OUTSIDE)
+        maps[:, rows] = batch_last(pixels.clip(_OUTSIDE, -_OUTSIDE))
     return maps[0], maps[1]
-
-
-def _pixels_of_rays(camera: Camera, rays: Array) -> Array:
-    """Compute where (..., 2) an image shows points (..., 3) in frame cam; _OUTSIDE: nowhere."""
-    good = in_reach(camera, *batch_last(rays))[..., None]
-    pixels = np.where(good, project(camera, rays), _OUTSIDE)
-    return pixels.clip(_OUTSIDE, -_OUTSIDE)
 
 
 def _orientation(baseline: Array, forward: Array) -> Array:

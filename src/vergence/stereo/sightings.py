@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Required, TypedDict
 
 import numpy as np
@@ -119,13 +118,10 @@ def reading_deviations(
     if joint_std_rad is None:
         levels = head.accuracy.joint_std if head.accuracy else ()
         poses = np.resize(levels or (0.0,), 2)
-        joint_std_rad = poses if measured(joints) else _stated_readings(head)
+        joint_std_rad = poses if measured(joints) else reading_stds(head)
     if count == 12 and np.shape(joint_std_rad) == (2,):
         joint_std_rad = np.tile(np.repeat(joint_std_rad, 3), 2)
     return _deviations("joint_std_rad", joint_std_rad, n, count)
-
-
-_stated_readings = lru_cache(maxsize=64)(reading_stds)
 
 
 def _deviations(name: str, std: ArrayLike, n: int, count: int) -> Array:
