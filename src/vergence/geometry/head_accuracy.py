@@ -44,7 +44,7 @@ class HeldOut:
     stated; 1 where the noise model is right."""
     prediction_px: float | None = None
     """Root mean square distance of corners from where the view's reading, the calibration and the
-    board, as other views of its placement show it, put them; None: there is no such view."""
+    board, as other views of its placement show it, put them; None: no other view."""
 
 
 @dataclass(frozen=True, config=_FINITE)

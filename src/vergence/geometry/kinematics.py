@@ -41,7 +41,7 @@ MAX_JOINTS = 20
 """Most joints of a chain, and readings of a head."""
 GEARED = 3.0
 """Ratio of the factors of readings from which one of them stands before a gear, so that its noise
-is of another size. Vergence, of which an eye turns by a half, does not."""
+is of another size. A reading of vergence, which turns each eye by its half, does not."""
 _SAME_AXIS = 0.9
 """Cosine of the angle between axes of joints of the two eyes that are built alike."""
 LEAST_APART_M = 1e-3
@@ -123,8 +123,8 @@ def _check_joints(whose: str, joints: tuple[Joint, ...], readings: tuple[str, ..
     for joint in joints:
         if unknown := set(joint.readings) - set(readings):
             raise ValueError(
-                f"joint {joint.name} of the {whose} is moved by {min(unknown)!r}, which is none "
-                f"of the readings {', '.join(readings)}"
+                f"joint {joint.name} of the {whose} is moved by {min(unknown)!r}, none of "
+                f"the readings {', '.join(readings)}"
             )
     for before, joint in pairwise(joints):
         distance = common_normal(before, joint).parallel_m

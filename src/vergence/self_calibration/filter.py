@@ -123,7 +123,7 @@ def _record(
 
 
 def _detect_change(records: tuple[FrameRecord, ...]) -> FilterState | None:
-    """Return the state after the likeliest change before one of the frames; None: no change."""
+    """Find the state after the likeliest change before one of the frames; None: no change."""
     best, found = _DETECTED, None
     for k, (change, tolerance) in enumerate(_CHANGES.items(), start=1):
         ratios = [each.log_likelihoods[k] - each.log_likelihoods[0] for each in records]
@@ -192,7 +192,7 @@ def _relinearise(records: tuple[FrameRecord, ...], after: FilterState) -> Filter
 
 
 def learned_head(state: FilterState) -> HeadCalibration:
-    """Return the current mean as a calibration, with its covariance.
+    """Take the current mean as a calibration, with its covariance.
 
     Parameters that are not estimated keep the calibration's covariance or, without one, the usual
     tolerances of lenses.

@@ -131,7 +131,7 @@ def _turned_rad(key: Keyframe, estimate: FrameEstimate) -> float:
 
 
 def augmented_covariance(state: FilterState) -> Array:
-    """Return the covariance (K, K) of head, present readings and the keyframe's joints, if any."""
+    """Assemble the covariance (K, K) of head, readings and the keyframe's joints, if any."""
     C, key = frame_covariance(state), state.keyframe
     if key is None:
         return C

@@ -262,7 +262,7 @@ def _coefficient_covariance(lens: Camera, free: Sequence[int], lens_px: float) -
 def _relative_variances(
     names: tuple[str, ...], cameras: tuple[str, ...], tolerance: Tolerance
 ) -> Array:
-    """Return variances (P,), without those of focal lengths and distortion coefficients."""
+    """List variances (P,), without those of focal lengths and distortion coefficients."""
     t = tolerance
     of_joint = {
         "_offset_rad": t.offset_rad,

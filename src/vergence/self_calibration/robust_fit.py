@@ -145,7 +145,7 @@ def _triples(residuals: int) -> np.ndarray:
 
 
 def _reweighted(y: Array, A: Array, S: Array, w: Array) -> Array:
-    """Return the `_dual` (k,) of iteratively reweighted least squares, from a change w (k,)."""
+    """Compute the `_dual` (k,) of iteratively reweighted least squares, from a change w (k,)."""
     dual = np.zeros_like(w)
     for _ in range(_ITERATIONS):
         weighted = A * tukey_weights(y - A @ w)[:, None]

@@ -169,7 +169,7 @@ class TrackedFeatures:
 
 
 def frame_covariance(state: FilterState) -> Array:
-    """Return the prior covariance (P + r, P + r) of head and readings in a frame."""
+    """Assemble the prior covariance (P + r, P + r) of head and readings in a frame."""
     P, stds = len(state.names), state.reading_std_rad
     C = np.zeros(2 * (P + len(stds),))
     C[:P, :P], C[P:, P:] = state.covariance, np.diag(stds**2)
