@@ -90,7 +90,7 @@ def test_a_frame_that_showed_nothing_does_not_keep_the_next_from_teaching(moving
     [
         (lambda f: replace(f, images={}), "the frame has images of no camera"),
         (lambda f: replace(f, images={n: i[::2] for n, i in f.images.items()}), "640 x 240 px"),
-        (lambda f: replace(f, images=dict.fromkeys(f.images)), "one of them is None"),
+        (lambda f: replace(f, images=dict.fromkeys(f.images)), "found None: the file was not read"),
         (lambda f: replace(f, images={n: i / 255 for n, i in f.images.items()}), "of float64"),
         (lambda f: replace(f, time_s=np.nan), "found nan"),
         (lambda f: replace(f, neck_angles=np.zeros(0)), r"neck_yaw \[rad\].*shape \(0,\)"),
