@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from vergence.cli.report import Report
-from vergence.demos.depth import RANGE_M
 from vergence.errors import counted
 from vergence.files import REPORT, markdown_table, write_whole
 from vergence.findings import warning
 from vergence.progress import Progress
 from vergence.self_calibration.dense_pairs import (
+    RANGE_M,
     DepthSequence,
     misaligned,
     row_difference_rad,

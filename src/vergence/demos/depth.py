@@ -23,6 +23,7 @@ from vergence.geometry.se3 import transform
 from vergence.progress import Progress
 from vergence.self_calibration.calibrator import Geometry, initial_visual_geometry, update_geometry
 from vergence.self_calibration.dense_pairs import (
+    RANGE_M,
     DepthSequence,
     PairDepth,
     StereoImages,
@@ -36,8 +37,6 @@ from vergence.twin.head import Twin
 from vergence.twin.model import check_calibration_of
 from vergence.twin.simulated_robot import calibrate_twin, learn_by_looking
 
-RANGE_M = (0.5, 1.5)
-"""Distances at which accuracy is stated [m]."""
 _GRID_PX = 16
 """Distance between the points whose rows are compared [px]."""
 _WRONG = 0.2

@@ -26,6 +26,9 @@ from vergence.stereo.dense_depth import DenseDepth, dense_depth
 from vergence.stereo.rectification import RectifiedPair, rectify
 from vergence.vision.matching.scene_features import match_scene
 
+RANGE_M = (0.5, 1.5)
+"""Distances at which accuracy is stated [m]."""
+
 MISALIGNED = 4.2
 """Median angle between the rows of features, over that by the noise of readings, from which a
 calibration is doubted; noise alone makes 0.7."""
