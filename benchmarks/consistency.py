@@ -99,7 +99,7 @@ def mahalanobis(
         "right": seen["pixels"][1, tested] - bias[1],
         "joints": seen["joints"][tested],
         "cameras": WIDE,
-        "joint_std_rad": np.radians(profile.joints.noise_deg),
+        "reading_std": np.radians(profile.joints.noise_deg),
     }
     found = locate(truth, **given, pixel_std_px=pixel_std)
     there = np.array(figure.mean_m)
@@ -155,16 +155,14 @@ def line_of(folder: Path, profile: ErrorProfile, figure: Figure) -> str:
     left, right = seen["pixels"]
     points, _ = triangulate_at(used, left=left, right=right, joints=seen["joints"], cameras=WIDE)
     observed = describe(points)
-    white = Source(
-        "noise", pixel_std_px=noise_px, joint_std_rad=np.radians(profile.joints.noise_deg)
-    )
+    white = Source("noise", pixel_std_px=noise_px, reading_std=np.radians(profile.joints.noise_deg))
     joints = eye_angles(figure.motion, seen["time_s"])
     motion = {"joints": joints, "rates": np.gradient(joints, seen["time_s"], axis=0)}
     at = observed.mean_m[None]
     errors = Source("calibration", errors=boxminus(used, truth))
 
     def spread_m(*sources: Source) -> Array:
-        (found,) = budget(used, at, **motion, sources=sources, cameras=WIDE)
+        (found,) = budget(used, at, **motion, sources=sources)
         return found.total.spread_m
 
     with_truth = spread_m(errors, white) / observed.std_m

@@ -34,7 +34,7 @@ from vergence.self_calibration.frame import estimate_frame, estimate_from_matche
 from vergence.self_calibration.kalman import predict
 from vergence.self_calibration.prior import initial_state
 from vergence.self_calibration.state import FilterState
-from vergence.stereo.extrinsics import T_rcam_lcam
+from vergence.stereo.extrinsics import relative_camera_pose
 from vergence.stereo.triangulation import triangulate_at
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import paper_calibration, straight_neck
@@ -154,7 +154,7 @@ def taken(twin: Twin, head: HeadCalibration, figure: int, samples: int) -> list[
         twin.advance(round(1 + time_s + APART_S, 3), command)
         images = *frame.images.values(), twin.capture(CAMERAS[1:]).images[CAMERAS[1]]
         first, second, later = (cv2.cvtColor(i, cv2.COLOR_RGB2GRAY) for i in images)
-        T = T_rcam_lcam(truth, angles / gains, cameras=CAMERAS)
+        T = relative_camera_pose(truth, angles / gains, cameras=CAMERAS)
         result.append(Sample((first, second), later, frame.eye_angles, (left, right), T))
     return result
 

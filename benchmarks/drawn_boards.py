@@ -16,7 +16,7 @@ from simulated_recording import BOARD, POINTS
 from vergence.arrays import Array
 from vergence.calibration.detection import detect_or_explain
 from vergence.geometry.board import Charuco, opencv_board
-from vergence.geometry.head import HeadCalibration, T_base_cam
+from vergence.geometry.head import HeadCalibration, camera_pose_in_base
 from vergence.geometry.se3 import inverse, pose
 
 CHARUCO = Charuco(
@@ -53,7 +53,7 @@ def found_corners(
         corners = np.full((len(joints), len(POINTS), 2), np.nan)
         for v, (T, u) in enumerate(zip(T_lbase_target, joints, strict=True)):
             T_base_target = T if mounted.eye == "left" else head.T_rbase_lbase @ T
-            T_cam_card = inverse(T_base_cam(head, name, u)) @ T_base_target @ T_target_card
+            T_cam_card = inverse(camera_pose_in_base(head, name, u)) @ T_base_target @ T_target_card
             image = draw_card(
                 mounted.intrinsics,
                 picture,

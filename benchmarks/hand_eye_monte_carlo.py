@@ -78,7 +78,7 @@ class Trial:
 
 
 def simulate(
-    config: Config, points: Array, joint_std_rad: float, rng: np.random.Generator
+    config: Config, points: Array, reading_std: float, rng: np.random.Generator
 ) -> tuple[Array, Array, Array]:
     """Return T_eye_cam, readings (N, 2) and corners (N, K, 2) of a board's points (K, 3) [m]."""
     mounting = rotation(rng.normal(0, np.radians(1.5), 3))
@@ -91,7 +91,7 @@ def simulate(
     camera = MountedCamera(eye="left", intrinsics=lens, T_eye_cam=T_eye_cam)
     pixels = project_at(camera, np.eye(4), pan_tilt_pose(angles), transform(T_base_target, points))
     pixels = pixels + rng.normal(0, config.pixel_std_px, pixels.shape)
-    readings = angles + rng.normal(0, joint_std_rad, angles.shape)
+    readings = angles + rng.normal(0, reading_std, angles.shape)
     return T_eye_cam, readings, np.where(inside_image(pixels)[..., None], pixels, np.nan)
 
 

@@ -42,9 +42,9 @@ from vergence.calibration.summary import verdict
 from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera, project
 from vergence.geometry.head import HeadCalibration, main_pair
-from vergence.geometry.kinematics import EYE_JOINTS, T_base_eye, straight_gaze
+from vergence.geometry.kinematics import EYE_JOINTS, eye_pose, straight_gaze
 from vergence.geometry.parameters import boxminus, without_offsets
-from vergence.geometry.projection import T_lbase_cam, project_point
+from vergence.geometry.projection import camera_pose, project_point
 from vergence.geometry.se3 import transform
 from vergence.stereo.triangulation import Status
 from vergence.stereo.uncertainty import locate
@@ -164,8 +164,8 @@ def arrangement(head: HeadCalibration, rng: np.random.Generator) -> Arrangement:
         lens = mounted.intrinsics
         pixel = rng.uniform([0, 0], [lens.width - 1, lens.height - 1])
         ray = unit_rays(mounted.intrinsics, pixel[None])[0]
-        T_base_straight = T_base_eye(head.kinematics, mounted.eye, straight)
-        T = T_lbase_cam(mounted, head.T_rbase_lbase, T_base_straight)
+        T_base_straight = eye_pose(head.kinematics, mounted.eye, straight)
+        T = camera_pose(mounted, head.T_rbase_lbase, T_base_straight)
         centre = transform(T, rng.uniform(0.25, 0.5) * ray)
         places.append(_facing(centre, rng))
     fixed = facing(np.array([[0.5, -0.04, 0.0]]), rng.uniform(-0.4, 0.4, (1, 3)))[0]

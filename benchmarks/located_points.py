@@ -29,10 +29,10 @@ from vergence.arrays import Array
 from vergence.geometry.head import parameter_names
 from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.projection import project_point
-from vergence.stereo.extrinsics import T_rcam_lcam
+from vergence.stereo.extrinsics import relative_camera_pose
 
 WIDE = ("left_wide", "right_wide")
-NOISE: dict[str, Any] = {"pixel_std_px": 0.1, "joint_std_rad": 1e-3}
+NOISE: dict[str, Any] = {"pixel_std_px": 0.1, "reading_std": 1e-3}
 
 
 def stated(head: vg.HeadCalibration) -> vg.HeadCalibration:
@@ -60,7 +60,7 @@ def fixed_geometry(head: vg.HeadCalibration, left: Array, right: Array) -> Array
         cv2.undistortPoints(uv.reshape(-1, 1, 2), lens.matrix, lens.distortion).reshape(-1, 2).T
         for uv, lens in zip((left, right), lenses, strict=True)
     ]
-    X = cv2.triangulatePoints(np.eye(3, 4), T_rcam_lcam(head, np.zeros(4))[:3], *rays)
+    X = cv2.triangulatePoints(np.eye(3, 4), relative_camera_pose(head, np.zeros(4))[:3], *rays)
     return (X[:3] / X[3]).T
 
 

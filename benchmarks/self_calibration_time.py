@@ -23,7 +23,7 @@ from vergence.self_calibration.filter import update
 from vergence.self_calibration.frame import estimate_from_matches
 from vergence.self_calibration.kalman import predict
 from vergence.self_calibration.prior import initial_state
-from vergence.stereo.extrinsics import T_rcam_lcam
+from vergence.stereo.extrinsics import relative_camera_pose
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import paper_calibration, straight_neck
 from vergence.twin.head import Twin
@@ -62,7 +62,7 @@ def main(pairs: int = 40, scene: Scene = "room", seed: int = 0) -> None:
             twin.advance((k + 1) * STEP_S, lambda _, target=angles: target)
             frame = twin.capture(state.cameras)
             images = [frame.images[name] for name in state.cameras]
-            T = T_rcam_lcam(state.head, frame.eye_angles, cameras=state.cameras)
+            T = relative_camera_pose(state.head, frame.eye_angles, cameras=state.cameras)
             found = timed(
                 "matching",
                 lambda images=images, T=T: match_scene(

@@ -13,7 +13,7 @@ from scipy.stats import chi2
 
 from vergence.arrays import Array
 from vergence.geometry.camera import Camera, pinhole
-from vergence.geometry.head import R_EYE_CAM, HeadCalibration, MountedCamera, T_base_cam
+from vergence.geometry.head import R_EYE_CAM, HeadCalibration, MountedCamera, camera_pose_in_base
 from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import EYES, Kinematics, Side, pan_tilt
 from vergence.geometry.lens import COEFFICIENTS
@@ -171,7 +171,7 @@ def point_in_camera(head: HeadCalibration, name: str, joints: Array, points: Arr
     """Return points (N, 3) of the left eye's base in frame cam, at joint readings (N, r)."""
     eye = head.cameras[name].eye
     in_base = points if eye == "left" else transform(head.T_rbase_lbase, points)
-    return transform(inverse(T_base_cam(head, name, joints)), in_base)
+    return transform(inverse(camera_pose_in_base(head, name, joints)), in_base)
 
 
 def rough_start(head: HeadCalibration, rng: np.random.Generator) -> HeadCalibration:

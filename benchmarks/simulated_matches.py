@@ -14,7 +14,7 @@ from vergence.geometry.parameters import boxminus, change_named
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
 from vergence.self_calibration.state import FilterState, Keyframe, TrackedFeatures
-from vergence.stereo.extrinsics import T_rcam_lcam, camera_poses
+from vergence.stereo.extrinsics import camera_poses, relative_camera_pose
 from vergence.vision.matching.scene_features import Matches
 
 ROOM_M = ((0.5, 4.0), (-2.5, 2.5), (-1.2, 1.2))
@@ -83,7 +83,8 @@ def turn_error_deg(
 ) -> float:
     """Return by how much the relative turn of two cameras is wrong [deg], by readings (r,)."""
     T, T_true = (
-        T_rcam_lcam(each, at, cameras=cameras) for each, at in ((head, joints), (truth, angles))
+        relative_camera_pose(each, at, cameras=cameras)
+        for each, at in ((head, joints), (truth, angles))
     )
     return float(np.degrees(np.linalg.norm(se3.boxminus(T, T_true)[:3])))
 

@@ -18,9 +18,9 @@ from vergence.calibration.observations import Observations
 from vergence.data.timing import Timing
 from vergence.geometry.board import Chessboard, corner_points
 from vergence.geometry.camera import Camera
-from vergence.geometry.head import HeadCalibration, T_head_base
-from vergence.geometry.kinematics import EYES, T_base_eye
-from vergence.geometry.projection import T_lbase_cam, project_point
+from vergence.geometry.head import HeadCalibration, base_pose
+from vergence.geometry.kinematics import EYES, eye_pose
+from vergence.geometry.projection import camera_pose, project_point
 from vergence.geometry.se3 import inverse, pose, rotation, transform
 
 BOARD = Chessboard(columns=9, rows=6, square_m=0.03)
@@ -294,8 +294,8 @@ def _held_board(
 ) -> Array:
     """Return a random T_lbase_target at which all the cameras see the whole board."""
     mounted = head.camera(cameras[-1])
-    T_base_straight = T_base_eye(head.kinematics, mounted.eye, np.zeros(4))
-    T = T_lbase_cam(mounted, head.T_rbase_lbase, T_base_straight)
+    T_base_straight = eye_pose(head.kinematics, mounted.eye, np.zeros(4))
+    T = camera_pose(mounted, head.T_rbase_lbase, T_base_straight)
     slope = WIDTH / 2 / mounted.intrinsics.matrix[0, 0]
     for _ in range(10_000):
         depth = rng.uniform(*depth_m)
@@ -309,6 +309,6 @@ def _held_board(
 
 
 def _fixed_board(head: HeadCalibration, rng: np.random.Generator) -> Array:
-    between = inverse(T_head_base(head, "left"))[:3, 3]
+    between = inverse(base_pose(head, "left"))[:3, 3]
     ahead = np.array([rng.uniform(0.5, 0.7), *rng.normal(0, 0.02, 2)])
     return facing(between + ahead, rng.normal(0, 0.25, 3))

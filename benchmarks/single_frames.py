@@ -24,7 +24,7 @@ from vergence.geometry.parameters import change_named
 from vergence.self_calibration.frame import estimate_frame, estimate_from_matches
 from vergence.self_calibration.prior import initial_state
 from vergence.self_calibration.state import FilterState, FrameEstimate
-from vergence.stereo.extrinsics import T_rcam_lcam
+from vergence.stereo.extrinsics import relative_camera_pose
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import paper_calibration, straight_neck
 from vergence.twin.head import Twin
@@ -52,7 +52,7 @@ def less_certain(head: HeadCalibration, factor: float) -> HeadCalibration:
 
 def turn_distance(seen: FrameEstimate, T_true: Array) -> float:
     """Return the squared Mahalanobis distance of the cameras' relative rotation, over three."""
-    T, P, step = T_rcam_lcam(seen.head, seen.joints), len(seen.names), 1e-6
+    T, P, step = relative_camera_pose(seen.head, seen.joints), len(seen.names), 1e-6
     by = np.zeros((3, len(seen.covariance)))
     for k in range(by.shape[1]):
         head, joints = seen.head, seen.joints.copy()
@@ -60,7 +60,7 @@ def turn_distance(seen: FrameEstimate, T_true: Array) -> float:
             head = change_named(head, [seen.names[k]], np.array([step]))
         else:
             joints[k - P] += step
-        by[:, k] = se3.boxminus(T_rcam_lcam(head, joints), T)[:3] / step
+        by[:, k] = se3.boxminus(relative_camera_pose(head, joints), T)[:3] / step
     error = se3.boxminus(T_true, T)[:3]
     return float(error @ np.linalg.solve(by @ seen.covariance @ by.T, error)) / 3
 
@@ -75,7 +75,7 @@ def distances(twin: Twin, states: list[FilterState]) -> np.ndarray:
             posture = straight_neck(eye_angles(motion, np.array(1.0 + k * POSTURE_S)))
             twin.advance(time_s, lambda _, posture=posture: posture)
             frame = twin.capture(cameras)
-            T_true = T_rcam_lcam(twin.truth, twin.true_angles()[3:], cameras=cameras)
+            T_true = relative_camera_pose(twin.truth, twin.true_angles()[3:], cameras=cameras)
             left, right = (frame.images[name] for name in cameras)
             matches = estimate_frame(states[0], left, right, frame.eye_angles).matches
             seen = [estimate_from_matches(state, matches, frame.eye_angles) for state in states]

@@ -12,7 +12,7 @@ def predicted_depth_std(
     baseline_m: ArrayLike,
     focal_px: ArrayLike,
     *,
-    joint_std_rad: ArrayLike = 0.0,
+    reading_std: ArrayLike = 0.0,
     pixel_std_px: ArrayLike = 0.0,
     camera_ahead_m: ArrayLike = 0.0,
 ) -> Array:
@@ -28,7 +28,7 @@ def predicted_depth_std(
         points_m: (..., 3) from the left eye's rotation centre, x forward, y left, z up.
         baseline_m: between the rotation centres.
         focal_px: of both cameras.
-        joint_std_rad: of each joint's reading.
+        reading_std: of each joint's reading.
         pixel_std_px: of each coordinate of the point in each image.
         camera_ahead_m: how far the cameras sit ahead of the rotation centres.
     """
@@ -40,7 +40,7 @@ def predicted_depth_std(
     for sideways in (points[..., 1] / z, (points[..., 1] + baseline) / z):
         turned = turned + (1 + sideways**2 + ahead / z) ** 2 + (sideways * up) ** 2
     disparity = np.hypot(
-        np.sqrt(turned) * disparity_error(focal_px, joint_std_rad),
+        np.sqrt(turned) * disparity_error(focal_px, reading_std),
         np.sqrt(2) * np.asarray(pixel_std_px, float),
     )
     return depth_error(z, baseline, focal_px, disparity)

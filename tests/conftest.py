@@ -111,8 +111,8 @@ def true_calibration(monkeypatch: pytest.MonkeyPatch) -> None:
     from vergence.gaze.state import GazeSettings
 
     def given(twin, seed: int, progress: object) -> GazeSettings:
-        joint_std_rad = np.hypot(5e-5, np.radians(twin.profile.joints.noise_deg))
-        return GazeSettings(calibration=twin.truth, joint_std_rad=float(joint_std_rad))
+        reading_std = np.hypot(5e-5, np.radians(twin.profile.joints.noise_deg))
+        return GazeSettings(calibration=twin.truth, reading_std=float(reading_std))
 
     monkeypatch.setattr(experiment, "calibrate_twin", given)
 

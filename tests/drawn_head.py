@@ -18,7 +18,12 @@ from vergence.gaze.commands import (
 )
 from vergence.gaze.foveation import gaze_angles
 from vergence.geometry.camera import pinhole, project
-from vergence.geometry.head import HeadCalibration, MountedCamera, T_base_cam, T_body_base
+from vergence.geometry.head import (
+    HeadCalibration,
+    MountedCamera,
+    base_pose_in_body,
+    camera_pose_in_base,
+)
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.neck import Neck
 from vergence.geometry.se3 import inverse, pose, rotation, transform
@@ -125,8 +130,8 @@ class DrawnHead:
         """Map a point (3,) [m] from frame body to frame cam."""
         angles, eye = self.posture(time_s), self.calibration.cameras[name].eye
         eyes = angles[EYE_READINGS]
-        T = T_body_base(self.calibration, eye, angles[NECK])
-        return transform(inverse(T @ T_base_cam(self.calibration, name, eyes)), point)
+        T = base_pose_in_body(self.calibration, eye, angles[NECK])
+        return transform(inverse(T @ camera_pose_in_base(self.calibration, name, eyes)), point)
 
     def _draw(self, name: str, time_s: float) -> np.ndarray:
         image, point = self._blank.copy(), self.path(time_s)
@@ -170,5 +175,5 @@ def point_at(pan_deg: float, tilt_deg: float, distance_m: float) -> Array:
 def straight_to(point_body: Array) -> Array:
     """Return the eye angles (4,) [rad] to a point when the neck is straight."""
     head = four_cameras()
-    T = inverse(T_body_base(head, "left", np.zeros(3)))
+    T = inverse(base_pose_in_body(head, "left", np.zeros(3)))
     return gaze_angles(head, transform(T, point_body))

@@ -9,7 +9,7 @@ from drawn_head import DrawnHead
 from vergence.arrays import Array
 from vergence.gaze.commands import EYE_READINGS
 from vergence.geometry.camera import Camera, normalise
-from vergence.geometry.head import HeadCalibration, T_base_cam
+from vergence.geometry.head import HeadCalibration, camera_pose_in_base
 from vergence.geometry.lens import CameraModel
 from vergence.geometry.se3 import inverse
 
@@ -40,7 +40,7 @@ def view(head: HeadCalibration, camera: str, angles: Array) -> np.ndarray:
     lens = mounted.intrinsics
     sizes = lens.width, lens.height
     own = _rays(*sizes, lens.matrix.tobytes(), lens.distortion.tobytes(), lens.model)
-    T = T_base_cam(head, camera, angles)
+    T = camera_pose_in_base(head, camera, angles)
     if mounted.eye == "right":
         T = inverse(head.T_rbase_lbase) @ T
     rays = own @ T[:3, :3].T

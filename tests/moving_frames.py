@@ -10,7 +10,7 @@ from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.se3 import boxminus
-from vergence.stereo.extrinsics import T_rcam_lcam
+from vergence.stereo.extrinsics import relative_camera_pose
 
 HEAD = four_cameras()
 WIDE = ("left_wide", "right_wide")
@@ -41,7 +41,7 @@ def frames(count: int, *, step_s: float = 0.3) -> list[tuple[Array, Frame]]:
 
 def turn_error(head: HeadCalibration, joints: Array, angles: Array) -> float:
     """Return by how much a head at readings has the cameras turned to each other wrongly [rad]."""
-    T = boxminus(T_rcam_lcam(head, joints), T_rcam_lcam(HEAD, angles))
+    T = boxminus(relative_camera_pose(head, joints), relative_camera_pose(HEAD, angles))
     return float(np.linalg.norm(T[:3]))
 
 

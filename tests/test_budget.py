@@ -94,7 +94,7 @@ def test_squares_of_the_parts_add_up_to_those_of_the_total():
     errors = {"left.pan_gain": 0.01}, {"left_wide.fx": 2.0, "right_wide.fx": 2.0}
     sources = [
         Source("pixels", pixel_std_px=0.2),
-        Source("joints", joint_std_rad=np.array([1e-3, 1e-3, 2e-3, 1e-3])),
+        Source("joints", reading_std=np.array([1e-3, 1e-3, 2e-3, 1e-3])),
         *(Source(str(k), errors=each) for k, each in enumerate(errors)),
     ]
     (found,) = budget(stated(HEAD), POINT[None], **motion("divergent"), sources=sources)

@@ -9,7 +9,7 @@ from vergence.geometry.eye_motion import camera_motion, relative_motion
 from vergence.geometry.head import parameter_names
 from vergence.geometry.parameters import boxplus
 from vergence.geometry.se3 import boxminus
-from vergence.stereo.extrinsics import T_rcam_lcam, camera_poses
+from vergence.stereo.extrinsics import camera_poses, relative_camera_pose
 
 
 def drawn(kind):
@@ -26,7 +26,7 @@ def test_of_the_two_eyes_it_is_equation_11(kind):
     left, right = (camera_motion(head, name, joints) for name in pair)
     poses = camera_poses(head, joints, cameras=pair)
     np.testing.assert_allclose([left.T_lbase_cam, right.T_lbase_cam], poses, atol=1e-14)
-    expected = T_rcam_lcam(head, joints, cameras=pair)
+    expected = relative_camera_pose(head, joints, cameras=pair)
     np.testing.assert_allclose(relative_motion(left, right).T_second_first, expected, atol=1e-14)
 
 

@@ -134,7 +134,7 @@ def test_slow_motion_of_a_head_with_a_wide_prior_does_not_seem_to_show_its_scale
 def learned(frames: int, *, joint_std_deg: float, told_deg: float) -> FilterState:
     """Return what frames teach of a head that is as calibrated, whose readings are told a noise."""
     head, rng = head_of(0), np.random.default_rng(4)
-    state, points = replace(begin(head), joint_std_rad=np.radians(told_deg)), room(300, rng)
+    state, points = replace(begin(head), reading_std=np.radians(told_deg)), room(300, rng)
     for angles in postures(frames, rng):
         seen = matches(head, angles, points, noise_px=NOISE_PX, rng=rng)
         readings = angles + rng.normal(0, np.radians(joint_std_deg), 4)
@@ -169,7 +169,7 @@ def test_a_time_between_frames_that_is_none_is_refused(elapsed_s):
 @pytest.mark.slow
 def test_readings_that_are_noisier_than_was_told_do_not_make_the_head_seem_better_known():
     told, wrongly = (learned(16, joint_std_deg=0.6, told_deg=deg) for deg in (0.6, 0.15))
-    assert wrongly.joint_std_rad == pytest.approx(np.radians(0.6), rel=0.3)
+    assert wrongly.reading_std == pytest.approx(np.radians(0.6), rel=0.3)
     variances = [np.diag(state.covariance) for state in (told, wrongly)]
     # Where the first frames count by the noise that was told, the least ratio is 0.36.
     assert (variances[1] / variances[0]).min() > 0.7

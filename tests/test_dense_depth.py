@@ -124,7 +124,7 @@ def test_a_blank_half_is_not_called_textured_and_its_deviation_is_large(pair: Re
 
 
 def test_noise_of_the_joints_widens_the_deviation(pair: RectifiedPair, drawn):
-    exact, noisy = (dense_depth(pair, *drawn, joint_std_rad=std) for std in (None, 5e-3))
+    exact, noisy = (dense_depth(pair, *drawn, reading_std=std) for std in (None, 5e-3))
     np.testing.assert_array_equal(exact.depth_m, noisy.depth_m)
     assert np.nanmedian(noisy.std_m[noisy.textured] / exact.std_m[noisy.textured]) > 2
 

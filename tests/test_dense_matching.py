@@ -215,8 +215,8 @@ def test_the_deviation_beside_what_is_not_matched_is_that_of_the_surface():
 
 def test_what_readings_leave_open_is_that_of_a_located_point():
     """Whether their noise is given, or stated by the calibration."""
-    images, joint_std_rad = surface(60), 5e-3
-    exact, given = (dense_depth(PAIR, *images, joint_std_rad=std) for std in (None, joint_std_rad))
+    images, reading_std = surface(60), 5e-3
+    exact, given = (dense_depth(PAIR, *images, reading_std=std) for std in (None, reading_std))
     v, u = (each.ravel() for each in np.mgrid[100:400:50, 200:500:50])
     opposite = np.round(u - given.disparity_px[v, u]).astype(int)
     left, right = (
@@ -229,11 +229,11 @@ def test_what_readings_leave_open_is_that_of_a_located_point():
         right=right,
         joints=np.zeros(4),
         pixel_std_px=0,
-        joint_std_rad=joint_std_rad,
+        reading_std=reading_std,
     )
     by_readings = np.sqrt(given.std_m**2 - exact.std_m**2)[v, u]
     np.testing.assert_allclose(by_readings, np.sqrt(point.covariance[:, 0, 0]), rtol=0.05)
-    accuracy = Accuracy("bundle", joint_std=(joint_std_rad,))
+    accuracy = Accuracy("bundle", joint_std=(reading_std,))
     stated = dense_depth(rectify(replace(HEAD, accuracy=accuracy), np.zeros(4)), *images)
     np.testing.assert_allclose(stated.std_m, given.std_m, rtol=1e-6)
 

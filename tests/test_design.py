@@ -41,7 +41,7 @@ def seen(baseline_m: float, focal_px: float, points: Array, off: ArrayLike = 0.0
         points=points,
         joints=fixating_joints(baseline_m, points) + np.tile(off, 2),
         corner_std_px=0.1,
-        joint_std_rad=np.array([1e-3]),
+        reading_std=np.array([1e-3]),
     )
 
 
@@ -52,11 +52,11 @@ def test_far_ahead_it_is_equations_20_and_21():
     """
     for depth_m in (1.0, 3.0):
         one = seen(0.07, 400, np.array([[depth_m, 0.0, 0.0]]), np.zeros(2))
-        found = np.sqrt(noise_mean_square(one, pixel_std_px=0.2, joint_std_rad=3e-4)[0])
+        found = np.sqrt(noise_mean_square(one, pixel_std_px=0.2, reading_std=3e-4)[0])
         closer = 2 * AHEAD_M * np.sin(np.arctan(0.035 / depth_m))
         baseline = 0.07 - closer
         wanted = predicted_depth_std(
-            [depth_m, -baseline / 2, 0.0], baseline, 400, pixel_std_px=0.2, joint_std_rad=3e-4,
+            [depth_m, -baseline / 2, 0.0], baseline, 400, pixel_std_px=0.2, reading_std=3e-4,
             camera_ahead_m=AHEAD_M,
         )  # fmt: skip
         assert found == pytest.approx(wanted, rel=0.005)
@@ -81,7 +81,7 @@ def test_samples_of_late_readings_scatter_as_stated(correlation):
     squares = ((found - point) ** 2).sum(axis=1)
     stated = noise_mean_square(
         seen(0.09, 400, middle[None], np.zeros((1, 2))),
-        pixel_std_px=0.0, joint_std_rad=0.0, late_rad=late_rad, correlation=correlation,
+        pixel_std_px=0.0, reading_std=0.0, late_rad=late_rad, correlation=correlation,
     )[0]  # fmt: skip
     standard_error = squares.std() / np.sqrt(n) / stated
     assert squares.mean() / stated == pytest.approx(1, abs=4 * standard_error + 0.005)
@@ -102,13 +102,13 @@ def test_noise_and_calibration_are_the_covariance_of_located_points(baseline_m, 
     left, right = (project_point(head, name, joints, from_left) for name in head.cameras)
     located = {
         stated: locate(
-            each, left=left, right=right, joints=joints, pixel_std_px=0.2, joint_std_rad=1e-3
+            each, left=left, right=right, joints=joints, pixel_std_px=0.2, reading_std=1e-3
         )
         for stated, each in ((False, head), (True, calibrated))
     }
     noise, whole = (np.trace(located[k].covariance, axis1=1, axis2=2) for k in (False, True))
     found = seen(baseline_m, focal_px, points, off)
-    by_noise = noise_mean_square(found, pixel_std_px=0.2, joint_std_rad=1e-3)
+    by_noise = noise_mean_square(found, pixel_std_px=0.2, reading_std=1e-3)
     np.testing.assert_allclose(by_noise, noise, rtol=1e-3)
     by_views = found.calibration[0] / VIEWS
     np.testing.assert_allclose(by_views, whole - noise, rtol=0.02)

@@ -13,7 +13,7 @@ from vergence.demos.experiment import Experiment
 from vergence.demos.foveate import Trial, foveate, run_trial, summary, targets
 from vergence.errors import VergenceError
 from vergence.gaze.state import GazeSettings
-from vergence.geometry.head import T_head_base
+from vergence.geometry.head import base_pose
 from vergence.geometry.se3 import inverse, transform
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile, load_profile
@@ -48,7 +48,7 @@ def test_furniture_occludes_the_places_behind_it():
         box = transform(inverse(twin.T_world_lbase()), np.array([1.52, 0.12, 0.78]))
         beyond, before, beside = 1.2 * box, 0.5 * box, box + np.array([0, 0.5, 0.3])
         places_lbase = np.array([box, beyond, before, beside])
-        places = transform(T_head_base(twin.truth, "left"), places_lbase)
+        places = transform(base_pose(twin.truth, "left"), places_lbase)
         seen = unoccluded(twin, places, margin_m=0.02)
     assert seen.tolist() == [False, False, True, True]
 
@@ -60,7 +60,7 @@ def test_an_object_that_appears_comes_to_the_centre_of_both_foveas(
     profile: str, worst_px: float, number: int
 ):
     with Twin(load_profile(profile), seed=1) as twin:
-        settings = GazeSettings(calibration=twin.truth, joint_std_rad=2.6e-3)
+        settings = GazeSettings(calibration=twin.truth, reading_std=2.6e-3)
         trial = run_trial(twin, settings, number, targets(2, 7)[number])
     assert not trial.lost
     assert trial.time_s[-1] <= 0.5

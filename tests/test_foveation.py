@@ -14,7 +14,7 @@ from vergence.gaze.foveation import (
     solve_fixation,
 )
 from vergence.geometry.camera import pinhole, project
-from vergence.geometry.head import HeadCalibration, T_narrow_wide
+from vergence.geometry.head import HeadCalibration, wide_pose_in_narrow
 from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import EYES, Side
 from vergence.geometry.projection import project_point
@@ -49,7 +49,7 @@ def on_axis(depths: np.ndarray) -> np.ndarray:
 def test_equation_13_is_the_inverse_of_the_pose_of_the_wide_camera_in_the_narrow_one(seed: int):
     points = np.random.default_rng(seed).normal(size=(50, 3))
     for eye in EYES:
-        T = T_narrow_wide(head(seed), eye)
+        T = wide_pose_in_narrow(head(seed), eye)
         R_fp, t_fp = T[:3, :3], T[:3, 3]
         printed = (points - t_fp) @ R_fp  # rows: R_fp^T (y_f - t_fp)
         np.testing.assert_allclose(transform(inverse(T), points), printed, atol=1e-14)
@@ -57,7 +57,7 @@ def test_equation_13_is_the_inverse_of_the_pose_of_the_wide_camera_in_the_narrow
 
 def project_both(made: HeadCalibration, eye: Side, in_narrow: np.ndarray) -> list[np.ndarray]:
     """Eqs. 14-17: project points in the narrow camera's frame into both cameras."""
-    in_wide = transform(inverse(T_narrow_wide(made, eye)), in_narrow)
+    in_wide = transform(inverse(wide_pose_in_narrow(made, eye)), in_narrow)
     points = {"narrow": in_narrow, "wide": in_wide}
     return [project(made.camera(f"{eye}_{k}").intrinsics, p) for k, p in points.items()]
 
@@ -81,7 +81,7 @@ def test_equations_14_to_19_are_those_printed_once_principal_point_and_distortio
     x, y, z = 0.05, -0.02, 0.6
     for eye in EYES:
         A_f, A_p = (made.camera(f"{eye}_{c}").intrinsics.matrix for c in ("narrow", "wide"))
-        T = T_narrow_wide(made, eye)
+        T = wide_pose_in_narrow(made, eye)
         (r1, r2, r3), t = T[:3, :3].T, T[:3, 3]
         d = np.array([x, y, z]) - t
         u_f, v_f = (A_f[0, 0] * x + A_f[0, 1] * y) / z, A_f[1, 1] * y / z

@@ -225,7 +225,7 @@ def test_a_stuck_joint_is_named_and_the_others_continue():
 @pytest.mark.slow
 def test_gains_and_noise_of_the_readings_do_not_reach_the_fovea():
     head = DrawnHead(lambda _: point_at(18, 12, 0.7), joint_gain=0.97, joint_noise_rad=2.5e-3)
-    done = run(head, 2.0, replace(SETTINGS, joint_std_rad=2.5e-3))
+    done = run(head, 2.0, replace(SETTINGS, reading_std=2.5e-3))
     assert np.quantile(done.after(0.5), 0.95) < 3
 
 

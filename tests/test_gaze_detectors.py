@@ -21,7 +21,7 @@ from vergence.vision.marker import marker_detector
 def true_settings(profile: str, joints: Kinematics | None = None) -> GazeSettings:
     truth = as_built_head(nominal_head("2.8mm", joints), load_profile(profile), 0)
     limits = twin_limits(truth.kinematics)
-    return GazeSettings(calibration=truth, limits=limits, joint_std_rad=2.6e-3)
+    return GazeSettings(calibration=truth, limits=limits, reading_std=2.6e-3)
 
 
 @pytest.mark.render

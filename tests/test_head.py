@@ -12,16 +12,16 @@ from vergence.errors import VergenceError
 from vergence.findings import void
 from vergence.geometry.head import (
     HeadCalibration,
-    T_base_cam,
-    T_body_base,
-    T_head_base,
-    T_narrow_wide,
+    base_pose,
+    base_pose_in_body,
+    camera_pose_in_base,
     check_states_covariance,
     load_head,
     parameter_names,
     save_head,
     stated_covariance,
     states_covariance,
+    wide_pose_in_narrow,
 )
 from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.neck import Neck
@@ -55,11 +55,11 @@ def test_a_head_without_a_neck_travels_through_json(tmp_path: Path):
 
 
 def test_the_head_frame_lies_midway_between_the_eyes_with_the_left_eyes_axes(head):
-    left, right = T_head_base(head, "left"), T_head_base(head, "right")
+    left, right = base_pose(head, "left"), base_pose(head, "right")
     np.testing.assert_allclose(left[:3, 3] + right[:3, 3], 0, atol=1e-16)
     np.testing.assert_array_equal(left[:3, :3], np.eye(3))
     np.testing.assert_allclose(inverse(right) @ left, head.T_rbase_lbase, atol=1e-15)
-    assert T_head_base(plain_head(0.09, 280.0), "left")[1, 3] == pytest.approx(0.045)
+    assert base_pose(plain_head(0.09, 280.0), "left")[1, 3] == pytest.approx(0.045)
 
 
 def test_a_camera_moves_with_pan_then_with_the_neck():
@@ -75,8 +75,8 @@ def test_a_camera_moves_with_pan_then_with_the_neck():
         (0.0, quarter, (-0.045, 0.02, 1.0), (0, 1, 0)),
         (quarter, quarter, (-0.065, 0.0, 1.0), (-1, 0, 0)),
     ):
-        T_lbase_cam = T_base_cam(head, "left_wide", np.array([pan, 0.0, 0.0, 0.0]))
-        T_body_cam = T_body_base(head, "left", np.array([0.3, -0.2, yaw])) @ T_lbase_cam
+        T_lbase_cam = camera_pose_in_base(head, "left_wide", np.array([pan, 0.0, 0.0, 0.0]))
+        T_body_cam = base_pose_in_body(head, "left", np.array([0.3, -0.2, yaw])) @ T_lbase_cam
         np.testing.assert_allclose(T_body_cam[:3, 3], where, atol=1e-15)
         np.testing.assert_allclose(T_body_cam[:3, 2], towards, atol=1e-15)
 
@@ -85,7 +85,7 @@ def test_the_pose_of_the_wide_camera_in_the_narrow_one_maps_wide_to_narrow(head:
     point = np.array([0.1, -0.2, 1.0])  # in the wide camera
     in_eye = transform(head.cameras["left_wide"].T_eye_cam, point)
     in_narrow = transform(inverse(head.cameras["left_narrow"].T_eye_cam), in_eye)
-    np.testing.assert_allclose(transform(T_narrow_wide(head, "left"), point), in_narrow)
+    np.testing.assert_allclose(transform(wide_pose_in_narrow(head, "left"), point), in_narrow)
 
 
 def test_an_unknown_camera_and_a_missing_file_are_named(head: HeadCalibration, tmp_path: Path):

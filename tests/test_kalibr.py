@@ -10,7 +10,7 @@ from other_heads import KINDS, other_head
 from simulated_head import random_pose, unskewed_head
 from vergence.errors import VergenceError
 from vergence.geometry.camera import project
-from vergence.geometry.head import T_base_cam
+from vergence.geometry.head import camera_pose_in_base
 from vergence.geometry.se3 import inverse
 from vergence.interchange import kalibr
 from vergence.interchange.formats import export_head, import_head
@@ -49,8 +49,8 @@ def test_a_camchain_leads_from_camera_to_camera(tmp_path):
     chain = kalibr.load(tmp_path / "camchain.yaml")
     # From cam0, left_wide, to the last one, right_narrow.
     T = np.linalg.multi_dot([step for _, step in reversed(chain.values()) if step is not None])
-    T_lbase_first = T_base_cam(head, "left_wide", np.zeros(4))
-    T_rbase_last = T_base_cam(head, "right_narrow", np.zeros(4))
+    T_lbase_first = camera_pose_in_base(head, "left_wide", np.zeros(4))
+    T_rbase_last = camera_pose_in_base(head, "right_narrow", np.zeros(4))
     np.testing.assert_allclose(
         T, inverse(T_rbase_last) @ head.T_rbase_lbase @ T_lbase_first, atol=1e-12
     )

@@ -18,17 +18,17 @@ from vergence.geometry.kinematics import (
     EYES,
     Chain,
     Kinematics,
-    T_base_eye,
     chain_pose,
+    eye_pose,
     eye_turn,
     pan_tilt,
     reading_kinds,
     readings_to_turn,
 )
-from vergence.geometry.neck import Neck, T_body_head
+from vergence.geometry.neck import Neck, head_pose
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import boxminus, hat, pose, rotation, transform
-from vergence.stereo.extrinsics import T_rcam_lcam, rebase
+from vergence.stereo.extrinsics import rebase, relative_camera_pose
 
 FORWARD, LEFT, UP = np.eye(3)
 angle_pairs = st.tuples(st.floats(-0.7, 0.7), st.floats(-0.7, 0.7)).map(np.array)
@@ -37,7 +37,7 @@ angle_pairs = st.tuples(st.floats(-0.7, 0.7), st.floats(-0.7, 0.7)).map(np.array
 def left_eye(angles: np.ndarray, **errors: float) -> np.ndarray:
     """Return the pose of a left eye at pan and tilt."""
     kinematics = Kinematics({"left": pan_tilt("left", **errors), "right": pan_tilt("right")})
-    return T_base_eye(kinematics, "left", np.concatenate([angles, 9 * np.ones_like(angles)], -1))
+    return eye_pose(kinematics, "left", np.concatenate([angles, 9 * np.ones_like(angles)], -1))
 
 
 def test_positive_pan_looks_left_and_positive_tilt_looks_down():
@@ -141,13 +141,13 @@ def test_the_jacobians_of_an_eye_agree_with_differences(seed: int, joints: int, 
     kinematics = random_eyes(rng, joints, parallel=parallel)
     readings = rng.uniform(-0.5, 0.5, (5, 3))
     T, by_errors, by_readings = eye_linearised(kinematics, "left", readings)
-    np.testing.assert_array_equal(T, T_base_eye(kinematics, "left", readings))
+    np.testing.assert_array_equal(T, eye_pose(kinematics, "left", readings))
 
     def with_errors(change: np.ndarray) -> np.ndarray:
         eyes = kinematics.eyes | {"left": change_joints(kinematics.eyes["left"], change)}
-        return T_base_eye(Kinematics(eyes, kinematics.readings), "left", readings)
+        return eye_pose(Kinematics(eyes, kinematics.readings), "left", readings)
 
-    expected = slopes(lambda each: T_base_eye(kinematics, "left", each), readings)
+    expected = slopes(lambda each: eye_pose(kinematics, "left", each), readings)
     np.testing.assert_allclose(by_readings, expected, atol=1e-7)
     if joints:
         expected = slopes(with_errors, np.zeros(by_errors.shape[-1]))
@@ -161,9 +161,9 @@ def test_the_jacobians_of_an_eye_agree_with_differences(seed: int, joints: int, 
 def test_a_chain_serves_many_postures():
     rng = np.random.default_rng(1)
     kinematics, angles = random_pan_tilt(rng), rng.normal(size=(3, 5, 4))
-    T = T_base_eye(kinematics, "right", angles)
+    T = eye_pose(kinematics, "right", angles)
     assert T.shape == (3, 5, 4, 4)
-    np.testing.assert_allclose(T[2, 4], T_base_eye(kinematics, "right", angles[2, 4]), atol=1e-15)
+    np.testing.assert_allclose(T[2, 4], eye_pose(kinematics, "right", angles[2, 4]), atol=1e-15)
     fixed = Chain(np.empty((0, 3)), np.empty((0, 3)), np.ones(3), np.empty((0, 0)), np.empty(0))
     np.testing.assert_array_equal(chain_pose(fixed, np.empty((7, 0)))[6], pose(t=np.ones(3)))
 
@@ -178,10 +178,10 @@ POINT = np.array([0.6, 0.0, 0.0])
 @pytest.mark.parametrize(
     "find",
     [
-        lambda joints: T_base_eye(HEAD.kinematics, "left", joints),
+        lambda joints: eye_pose(HEAD.kinematics, "left", joints),
         lambda joints: eye_linearised(HEAD.kinematics, "right", joints),
         lambda joints: project_point(HEAD, "left_wide", joints, POINT),
-        lambda joints: T_rcam_lcam(HEAD, joints),
+        lambda joints: relative_camera_pose(HEAD, joints),
         lambda joints: rebase(HEAD, np.eye(4), joints=joints),
         lambda joints: eye_poses(HEAD, joints),
     ],
@@ -322,10 +322,10 @@ def test_each_neck_joint_carries_those_after_it():
     angles, point = np.array([0.3, -0.2, 0.5]), np.array([0.1, 0.2, 0.3])
     chain = Chain(neck.axes, neck.points_m, neck.head_m, np.eye(3), np.zeros(3))
     expected = turned_one_after_the_other(chain, angles, point)
-    np.testing.assert_allclose(transform(T_body_head(neck, angles), point), expected, atol=1e-15)
+    np.testing.assert_allclose(transform(head_pose(neck, angles), point), expected, atol=1e-15)
 
 
 def test_the_neck_at_zero_only_shifts_and_without_a_neck_the_head_is_the_body():
     neck = Neck(axes=np.eye(3), points_m=np.ones((3, 3)), head_m=np.array([1.0, 2, 3]))
-    np.testing.assert_array_equal(T_body_head(neck, np.zeros((4, 3)))[2], pose(t=[1, 2, 3]))
-    np.testing.assert_array_equal(T_body_head(Neck(), np.zeros((2, 0)))[1], np.eye(4))
+    np.testing.assert_array_equal(head_pose(neck, np.zeros((4, 3)))[2], pose(t=[1, 2, 3]))
+    np.testing.assert_array_equal(head_pose(Neck(), np.zeros((2, 0)))[1], np.eye(4))

@@ -15,7 +15,7 @@ from vergence.calibration.eye_camera import EyeCamera, refine_eye_camera
 from vergence.errors import VergenceError
 from vergence.geometry.camera import pinhole
 from vergence.geometry.head import MountedCamera
-from vergence.geometry.kinematics import Kinematics, T_base_eye, pan_tilt
+from vergence.geometry.kinematics import Kinematics, eye_pose, pan_tilt
 from vergence.geometry.projection import project_at
 from vergence.geometry.se3 import boxminus, boxplus, pose, rotation, transform
 
@@ -242,7 +242,7 @@ def test_readings_of_three_kinds_keep_their_noise_where_intrinsics_are_uncertain
     readings = rng.uniform(-0.25, 0.25, (25, 3)) * [1, 10, 100]
     kinematics = Kinematics({"left": joints, "right": ()}, ("left_pan", "left_tilt", "motor"))
     truth = record(3).T_eye_cam
-    pixels = see(truth, T_base_eye(kinematics, "left", readings), rng)
+    pixels = see(truth, eye_pose(kinematics, "left", readings), rng)
     seen = readings + rng.normal(0, 1e-3, readings.shape) * [1, 10, 100]
     noisy = pixels + rng.normal(0, 0.1, pixels.shape)
     uncertain = np.diag([0.5, 0.5, 0.3, 0.3, *[1e-8] * 5])

@@ -14,7 +14,7 @@ from simulated_frames import (
 )
 from simulated_matches import matches, room
 from vergence.findings import void
-from vergence.geometry.head import T_narrow_wide, load_head, parameter_names, save_head
+from vergence.geometry.head import load_head, parameter_names, save_head, wide_pose_in_narrow
 from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.lens import PINHOLE
 from vergence.geometry.se3 import boxminus, pose, rotation
@@ -22,7 +22,7 @@ from vergence.self_calibration.filter import learned_head, update
 from vergence.self_calibration.frame import estimate_from_matches
 from vergence.self_calibration.kalman import predict
 from vergence.self_calibration.prior import initial_state
-from vergence.stereo.extrinsics import T_rcam_lcam, rebase
+from vergence.stereo.extrinsics import rebase, relative_camera_pose
 
 
 def test_a_learned_head_is_a_calibration_with_its_accuracy(tmp_path):
@@ -49,7 +49,7 @@ def test_other_cameras_follow_the_main_one_of_their_eye(stated):
         for name, each in truth.cameras.items()
     }
     head = replace(truth, cameras=cameras)
-    head = rebase(head, T_rcam_lcam(truth, straight), joints=straight)
+    head = rebase(head, relative_camera_pose(truth, straight), joints=straight)
     if stated:
         names = parameter_names(head)
         C = np.diag(np.array([1.0 if name[-2:] in PINHOLE else 1e-6 for name in names]))
@@ -66,7 +66,7 @@ def test_other_cameras_follow_the_main_one_of_their_eye(stated):
     for name in ("left_wide", "left_narrow"):
         mountings = (each.camera(name).T_eye_cam for each in (learned, truth))
         assert np.linalg.norm(boxminus(*mountings)[:3]) < np.radians(0.15)
-    apart = (T_narrow_wide(each, "left") for each in (learned, truth))
+    apart = (wide_pose_in_narrow(each, "left") for each in (learned, truth))
     assert np.linalg.norm(boxminus(*apart)[:3]) < np.radians(0.05)
 
 

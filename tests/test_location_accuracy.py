@@ -52,7 +52,7 @@ def test_the_formula_off_the_axis_agrees_with_samples_at_the_places_of_the_figur
     """Eqs. 20-21, generalised."""
     ahead, baseline, focal = 0.02, 0.092, FOCAL_PX[figure.lens]
     head = plain_head(baseline, focal, camera_m=((ahead, 0, 0),) * 2)
-    noise = {"joint_std_rad": np.radians(joint_deg), "pixel_std_px": pixel}
+    noise = {"reading_std": np.radians(joint_deg), "pixel_std_px": pixel}
     found = sampled(head, np.array(figure.mean_m), np.zeros(4), pixel, np.radians(joint_deg))
     predicted = predicted_depth_std(figure.mean_m, baseline, focal, camera_ahead_m=ahead, **noise)
     assert found[:, 0].std() == pytest.approx(predicted, rel=0.03)
@@ -61,14 +61,14 @@ def test_the_formula_off_the_axis_agrees_with_samples_at_the_places_of_the_figur
 @pytest.mark.parametrize("depth", [0.46, 0.7, 1.1])
 def test_the_formula_on_the_axis_agrees_with_samples(depth: float):
     """Eqs. 20-21, for a standard deviation below 8 % of the depth."""
-    baseline, noise = 0.092, {"joint_std_rad": np.radians(0.1), "pixel_std_px": 0.3}
+    baseline, noise = 0.092, {"reading_std": np.radians(0.1), "pixel_std_px": 0.3}
     head = plain_head(baseline, 280.0)
     point = np.array([depth, -baseline / 2, 0.0])
-    found = sampled(head, point, np.zeros(4), noise["pixel_std_px"], noise["joint_std_rad"])
+    found = sampled(head, point, np.zeros(4), noise["pixel_std_px"], noise["reading_std"])
     predicted = predicted_depth_std(point, baseline, 280.0, **noise)
     assert predicted < 0.08 * depth
     assert found[:, 0].std() == pytest.approx(predicted, rel=0.02)
-    turned = disparity_error(280.0, np.sqrt(2) * noise["joint_std_rad"])
+    turned = disparity_error(280.0, np.sqrt(2) * noise["reading_std"])
     plain = depth_error(
         depth, baseline, 280.0, np.hypot(turned, np.sqrt(2) * noise["pixel_std_px"])
     )
@@ -165,7 +165,7 @@ def test_an_average_keeps_the_error_of_the_calibration_and_a_difference_loses_mo
     point, n = np.array([0.6, -0.03, 0.02]), 500
     joints = rng.uniform(-0.1, 0.1, (n, 4))
     left, right = (project_point(head, name, joints, point) for name in WIDE)
-    noise = {"pixel_std_px": 0.1, "joint_std_rad": 1e-3}
+    noise = {"pixel_std_px": 0.1, "reading_std": 1e-3}
     seen = {"left": left, "right": right, "joints": joints}
     each = locate(head, **seen, **noise)
     mean, covariance = combination(head, weights=np.full(n, 1 / n), **seen, **noise)
@@ -180,7 +180,7 @@ def test_an_average_keeps_the_error_of_the_calibration_and_a_difference_loses_mo
         head, weights=np.array([-1.0, 1.0]), **pair, joints=joints[0], **noise
     )
     np.testing.assert_allclose(apart, near - point, atol=1e-9)
-    alone = locate(head, **pair, joints=joints[0], pixel_std_px=0.1, joint_std_rad=0.0)
+    alone = locate(head, **pair, joints=joints[0], pixel_std_px=0.1, reading_std=0.0)
     white = alone.covariance - alone.calibration_covariance
     # The noise of two points remains, and of all that they share a few percent.
     assert np.trace(of_pair) < 1.1 * np.trace(white.sum(axis=0))
@@ -248,7 +248,7 @@ def test_sums_and_differences_are_of_the_points_that_are_located():
     head = skewed_head(rng)
     points, joints = rng.uniform([0.4, -0.1, -0.1], [0.8, 0.1, 0.1], (6, 3)), np.zeros(4)
     left, right = (project_point(head, name, joints, points) for name in WIDE)
-    noise: dict[str, Any] = {"pixel_std_px": [0.1, 0.1, 3.0, 3.0], "joint_std_rad": 1e-3}
+    noise: dict[str, Any] = {"pixel_std_px": [0.1, 0.1, 3.0, 3.0], "reading_std": 1e-3}
     left, weights = left + rng.normal(0, 1, left.shape), rng.normal(size=6)
     seen: dict[str, Any] = {"left": left, "right": right, "joints": joints}
     each = locate(head, **seen, **noise).xyz
@@ -283,7 +283,7 @@ def test_the_part_of_the_calibration_is_that_of_all_its_parameters(estimated):
     C = np.zeros((len(names) + 4,) * 2)
     C[: len(names), : len(names)] = own
     jointly = locate_jointly(head, **seen, estimate=(names, C))
-    alone = locate(head, **seen, joint_std_rad=0.0)
+    alone = locate(head, **seen, reading_std=0.0)
     scale = np.abs(alone.calibration_covariance).max()
     np.testing.assert_allclose(
         jointly.calibration_covariance, alone.calibration_covariance, atol=1e-9 * scale

@@ -33,14 +33,14 @@ def block_errors(seen: Matches, rng: np.random.Generator) -> Matches:
 
 def test_a_covariance_counts_errors_that_neighbouring_matches_share():
     head, points = head_of(0), room(900, np.random.default_rng(0))
-    state = replace(begin(head), joint_std_rad=np.radians(0.5))
+    state = replace(begin(head), reading_std=np.radians(0.5))
     state = replace(state, covariance=1e-12 * state.covariance)
     names, stds, squares = state.names, [], []
     for seed in range(20):
         rng = np.random.default_rng(seed)
         angles = postures(1, rng)[0]
         seen = matches(head, angles, points, noise_px=NOISE_PX, rng=rng)
-        readings = angles + rng.normal(0, state.joint_std_rad, 4)
+        readings = angles + rng.normal(0, state.reading_std, 4)
         found = estimate_from_matches(state, block_errors(seen, rng), readings)
         error = (found.joints - angles)[[0, 2]] @ [1, -1]
         own = found.covariance[len(names) :, len(names) :][np.ix_([0, 2], [0, 2])]

@@ -11,7 +11,12 @@ from pydantic import TypeAdapter
 from simulated_head import plain_head, skewed_head
 from vergence.arrays import Array
 from vergence.errors import VergenceError
-from vergence.geometry.head import HeadCalibration, T_base_cam, parameter_names, without_accuracy
+from vergence.geometry.head import (
+    HeadCalibration,
+    camera_pose_in_base,
+    parameter_names,
+    without_accuracy,
+)
 from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.parameters import (
     boxminus,
@@ -76,7 +81,10 @@ def test_a_changed_head_is_valid_though_it_is_not_checked_anew(seed: int):
     checked = adapter.validate_json(adapter.dump_json(changed))
     angles = rng.normal(0, 0.2, (3, 4))
     for name, mounted in changed.cameras.items():
-        one, other = T_base_cam(changed, name, angles), T_base_cam(checked, name, angles)
+        one, other = (
+            camera_pose_in_base(changed, name, angles),
+            camera_pose_in_base(checked, name, angles),
+        )
         np.testing.assert_array_equal(one, other)
         assert not mounted.T_eye_cam.flags.writeable
 
@@ -127,7 +135,10 @@ def test_a_head_without_offsets_sees_the_same(seed: int):
     plain = without_offsets(head)
     angles = rng.normal(0, 0.2, (10, 4))
     for name, mounted in head.cameras.items():
-        one, other = T_base_cam(head, name, angles), T_base_cam(plain, name, angles)
+        one, other = (
+            camera_pose_in_base(head, name, angles),
+            camera_pose_in_base(plain, name, angles),
+        )
         turn = one[0] @ np.linalg.inv(other[0])
         np.testing.assert_allclose(one, turn @ other, atol=1e-12)
         assert turn[2, 2] == pytest.approx(1)  # about the pan axis alone
@@ -162,8 +173,8 @@ def test_noise_and_calibration_add_up_to_what_locate_states():
     head = stated(HEAD, np.random.default_rng(3))
     seen = sight(head)
     exact = without_accuracy(head)
-    by_noise = locate(exact, **seen, pixel_std_px=0.1, joint_std_rad=1e-3)
+    by_noise = locate(exact, **seen, pixel_std_px=0.1, reading_std=1e-3)
     whole = by_noise.covariance + locate(head, **seen).calibration_covariance
     np.testing.assert_allclose(locate(head, **seen).covariance, whole, rtol=1e-12)
-    given = locate(head, **seen, pixel_std_px=0.0, joint_std_rad=0.0).covariance
+    given = locate(head, **seen, pixel_std_px=0.0, reading_std=0.0).covariance
     np.testing.assert_allclose(given, locate(head, **seen).calibration_covariance, rtol=1e-12)

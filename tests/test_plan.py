@@ -40,7 +40,7 @@ from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration, pair_names, parameter_names, save_head
 from vergence.geometry.kinematics import EYES, Kinematics
 from vergence.geometry.parameters import without_offsets
-from vergence.geometry.projection import T_lbase_cam, project_point
+from vergence.geometry.projection import camera_pose, project_point
 from vergence.geometry.se3 import inverse, transform
 from vergence.stereo.uncertainty import locate
 
@@ -100,7 +100,7 @@ def test_a_board_is_held_whole_where_the_image_has_all_its_corners(truth):
     expected = []
     corners, T = corner_points(board), eye_poses(truth, views.joints)
     for mounted in truth.cameras.values():
-        T_lbase = T_lbase_cam(mounted, truth.T_rbase_lbase, T[:, EYES.index(mounted.eye)])
+        T_lbase = camera_pose(mounted, truth.T_rbase_lbase, T[:, EYES.index(mounted.eye)])
         lens = mounted.intrinsics
         uv = project(lens, transform((inverse(T_lbase) @ views.T_lbase_target)[:, None], corners))
         last = np.array(lens.size) - 1 - MARGIN_PX

@@ -20,7 +20,7 @@ from vergence.geometry.se3 import transform
 from vergence.self_calibration.prior import initial_state
 from vergence.self_calibration.residuals import epipolar_residuals
 from vergence.self_calibration.state import FilterState
-from vergence.stereo.extrinsics import T_rcam_lcam, camera_poses
+from vergence.stereo.extrinsics import camera_poses, relative_camera_pose
 
 
 @pytest.mark.parametrize("kind", ["pan, tilt", "k3", "rational", "fisheye"])
@@ -170,7 +170,7 @@ def test_epipolar_lines_of_a_calibration_without_covariance_fit_to_a_third_of_a_
     ):
         changed = change_named(head, state.names, change)
         lenses = tuple(changed.camera(name).intrinsics for name in state.cameras)
-        T = T_rcam_lcam(changed, straight, cameras=state.cameras)
+        T = relative_camera_pose(changed, straight, cameras=state.cameras)
         found = epipolar_residuals(lenses, T, left, right)
         squares.append((found.residuals**2).mean())
     assert np.sqrt(np.mean(squares)) == pytest.approx(0.3, rel=0.3)
@@ -182,4 +182,4 @@ def test_readings_of_moving_eyes_err_by_more_than_a_recording_at_rest_may_state(
 ):
     accuracy = Accuracy("bundle", joint_std=(np.radians(stated_deg),))
     state = initial_state(replace(head_of(0), accuracy=accuracy))
-    assert state.joint_std_rad == pytest.approx(np.radians(taken_deg))
+    assert state.reading_std == pytest.approx(np.radians(taken_deg))

@@ -12,7 +12,7 @@ from simulated_head import plain_head, point_in_camera, skewed_head
 from vergence.arrays import Array
 from vergence.geometry.camera import pinhole, project
 from vergence.geometry.head import MountedCamera
-from vergence.geometry.kinematics import T_base_eye
+from vergence.geometry.kinematics import eye_pose
 from vergence.geometry.parameters import lens_of_vector, lens_vector
 from vergence.geometry.projection import project_at, project_point, project_with_jacobians
 from vergence.geometry.se3 import boxplus, transform
@@ -82,7 +82,7 @@ def test_every_derivative_of_the_projection_agrees_with_differences(seed: int, n
     rng = np.random.default_rng(seed)
     head, points = skewed_head(rng), before_the_head(rng, 3, 4)
     mounted, between = head.cameras[name], head.T_rbase_lbase
-    T = T_base_eye(head.kinematics, mounted.eye, rng.uniform(-0.25, 0.25, (3, 4)))
+    T = eye_pose(head.kinematics, mounted.eye, rng.uniform(-0.25, 0.25, (3, 4)))
     found = project_with_jacobians(mounted, between, T[:, None], points)
 
     def with_lens(change: Array) -> MountedCamera:

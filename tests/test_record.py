@@ -16,7 +16,7 @@ from vergence.data.timing import moved_readings
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
 from vergence.geometry.head import save_head
-from vergence.geometry.kinematics import EYES, Kinematics, T_base_eye
+from vergence.geometry.kinematics import EYES, Kinematics, eye_pose
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import transform
 from vergence.twin.calibration_sequence import BOARD
@@ -96,9 +96,9 @@ def test_a_head_with_other_joints_is_recorded(tmp_path):
     kinematics = truth.head.kinematics
     still = ~dataset.moving
     for eye in EYES:  # through the gains and offsets of the sensors, readings are true angles
-        read = T_base_eye(kinematics, eye, dataset.eye_angles[still])
+        read = eye_pose(kinematics, eye, dataset.eye_angles[still])
         perfect = nominal_head("2.8mm", dataset.description.head_kinematics).kinematics
-        true = T_base_eye(perfect, eye, truth.eye_angles[still])
+        true = eye_pose(perfect, eye, truth.eye_angles[still])
         np.testing.assert_allclose(read, true, atol=0.004)
 
 

@@ -125,7 +125,7 @@ def test_a_repaired_head_is_learned_whatever_its_calibration_states(recorded):
     assert "mm by usual tolerances, " in said
     # The noise of the readings is that of the encoders, whatever became of the head.
     state = initial_state(head, changed="anything")
-    assert state.joint_std_rad == pytest.approx(2e-3)
+    assert state.reading_std == pytest.approx(2e-3)
 
 
 def test_eyes_that_do_not_move_show_nothing_that_persists(tmp_path, moving):

@@ -8,7 +8,7 @@ import pytest
 from simulated_head import plain_head
 from simulated_twin import observe_points
 from vergence.accuracy.motions import PERIOD_S, eye_angles
-from vergence.geometry.head import HeadCalibration, T_base_cam
+from vergence.geometry.head import HeadCalibration, camera_pose_in_base
 from vergence.geometry.se3 import inverse
 from vergence.paper import replay
 from vergence.paper.figures import FIGURES, Figure
@@ -115,7 +115,9 @@ def test_by_hand_errors_leave_straight_gaze_exact():
     wrong = inject_calibration_error(truth, ByHand(roll_deg=1, axial_mm=5), "2.8mm")
 
     def stereo(head: HeadCalibration) -> np.ndarray:
-        left, right = (T_base_cam(head, f"{eye}_wide", np.zeros(4)) for eye in ("left", "right"))
+        left, right = (
+            camera_pose_in_base(head, f"{eye}_wide", np.zeros(4)) for eye in ("left", "right")
+        )
         return inverse(right) @ head.T_rbase_lbase @ left
 
     np.testing.assert_allclose(stereo(wrong), stereo(truth), atol=1e-14)

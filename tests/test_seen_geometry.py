@@ -38,7 +38,7 @@ def test_every_frame_is_better_than_the_readings_and_teaches_the_next(moving):
         by_sight.append(turn_error(geometry.latest.head, geometry.latest.joints, angles))
     assert geometry.state.frames == len(moving) - 1  # the first shows where the eyes begin
     assert np.mean(by_sight) < np.mean(by_readings) / 3
-    assert geometry.state.joint_std_rad == pytest.approx(NOISE_RAD, rel=0.4)
+    assert geometry.state.reading_std == pytest.approx(NOISE_RAD, rel=0.4)
 
 
 def test_frames_that_show_the_same_again_teach_nothing(moving):
@@ -121,9 +121,7 @@ def follow(geometry, seconds: float) -> tuple[float, list[GazeState]]:
 
     head = RoomHead(path, joint_gain=GAIN, joint_noise_rad=NOISE_RAD)
     roles: dict[Side, EyeCameras] = {eye: EyeCameras(f"{eye}_wide", f"{eye}_wide") for eye in EYES}
-    settings = GazeSettings(
-        calibration=HEAD, roles=roles, geometry=geometry, joint_std_rad=NOISE_RAD
-    )
+    settings = GazeSettings(calibration=HEAD, roles=roles, geometry=geometry, reading_std=NOISE_RAD)
     run_gaze(head, settings, initial_gaze_state(settings, np.zeros(7), 0.0), seconds, watch=keep)
     return float(np.sqrt(np.mean(np.square(errors)))), states
 

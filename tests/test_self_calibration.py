@@ -34,14 +34,14 @@ from vergence.self_calibration.frame import estimate_from_matches, locate_in_fra
 from vergence.self_calibration.kalman import predict
 from vergence.self_calibration.prior import initial_state
 from vergence.self_calibration.residuals import epipolar_residuals, pair_coordinates
-from vergence.stereo.extrinsics import T_rcam_lcam
+from vergence.stereo.extrinsics import relative_camera_pose
 from vergence.vision.matching.scene_features import Matches
 
 
 def pair_of(head, angles):
     """Return the lenses of the main cameras, and T_rcam_lcam."""
     lenses = tuple(head.camera(name).intrinsics for name in CAMERAS)
-    return lenses, T_rcam_lcam(head, angles, cameras=CAMERAS)
+    return lenses, relative_camera_pose(head, angles, cameras=CAMERAS)
 
 
 @given(st.integers(0, 1000))
@@ -80,7 +80,7 @@ def test_exact_matches_give_the_exact_pose_of_the_cameras(seed):
     """The readings are wrong by half a degree, the head is not."""
     head, rng = head_of(seed), np.random.default_rng(seed)
     state = begin(head)
-    state = replace(state, covariance=1e-12 * state.covariance, joint_std_rad=np.radians(0.5))
+    state = replace(state, covariance=1e-12 * state.covariance, reading_std=np.radians(0.5))
     angles = postures(1, rng)[0]
     readings = angles + np.radians(0.5) * np.array([1, -1, -1, 1])
     exact = matches(head, angles, room(600, rng), noise_px=0.0, rng=rng)
@@ -144,7 +144,7 @@ def test_stated_covariances_are_true_for_heads_drawn_at_random():
         of_point.append(error @ np.linalg.solve(where.covariance[0], error))
         of_head += squared_distance(state, truth)
         degrees += len(state.names)
-        stds.append(state.joint_std_rad)
+        stds.append(state.reading_std)
         assert (np.diag(state.covariance) <= np.diag(before) * (1 + 1e-9)).all()
     # Twenty heads leave a tenth: each is linearised where it is still wrong.
     assert 0.7 < of_head / degrees < 1.25
@@ -250,7 +250,7 @@ def test_the_first_frames_are_linearised_again_at_their_end_though_one_was_not_b
 
 def test_readings_without_stated_noise_are_given_the_usual_noise():
     head = replace(head_of(0), accuracy=Accuracy("paper", joint_std=(0.0,)))
-    assert initial_state(head).joint_std_rad == pytest.approx(prior.JOINT_STD_RAD)
+    assert initial_state(head).reading_std == pytest.approx(prior.JOINT_STD_RAD)
 
 
 def test_readings_keep_the_ratio_of_noise_with_which_they_were_calibrated():

@@ -29,7 +29,7 @@ def some(seen: Matches, which: slice | np.ndarray) -> Matches:
 
 def left_open(state: FilterState, found: FrameEstimate) -> Array:
     """Return by how much less uncertain readings (4,) are than they were: 1 is not at all."""
-    return np.sqrt(np.diag(found.covariance))[len(state.names) :] / state.joint_std_rad
+    return np.sqrt(np.diag(found.covariance))[len(state.names) :] / state.reading_std
 
 
 def test_a_geometry_that_a_seventh_of_the_matches_fits_is_believed():

@@ -7,7 +7,7 @@ import pytest
 
 from other_heads import KINDS, other_head
 from vergence.geometry.joints import Joint
-from vergence.geometry.kinematics import EYES, Kinematics, Side, T_base_eye
+from vergence.geometry.kinematics import EYES, Kinematics, Side, eye_pose
 from vergence.twin.profile import Joints
 from vergence.twin.sensors import play, read, with_sensor_errors
 
@@ -49,8 +49,8 @@ def test_joints_that_undo_the_sensors_give_the_true_poses(kind: str, rng: np.ran
     angles, gain, offset = rng.normal([[0.0], [1.0], [0.0]], 0.1, (3, len(kinematics.readings)))
     known = with_sensor_errors(kinematics, 1 / gain, -offset / gain)
     for eye in EYES:
-        expected = T_base_eye(kinematics, eye, angles)
-        np.testing.assert_allclose(T_base_eye(known, eye, gain * angles + offset), expected)
+        expected = eye_pose(kinematics, eye, angles)
+        np.testing.assert_allclose(eye_pose(known, eye, gain * angles + offset), expected)
 
 
 def test_errors_of_readings_before_a_gear_are_those_of_the_joints_behind_it():

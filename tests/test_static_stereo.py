@@ -15,7 +15,7 @@ from vergence.calibration.initial import calibrate_pair
 from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera
 from vergence.geometry.se3 import boxminus, pose
-from vergence.stereo.extrinsics import T_rcam_lcam
+from vergence.stereo.extrinsics import relative_camera_pose
 
 
 def pair(
@@ -47,7 +47,7 @@ def test_exact_corners_of_wide_rational_lenses_give_the_pose(seed: int):
     a, b = (head.cameras[name].intrinsics for name in ("left_wide", "right_wide"))
     left, right = (observed.corners[name][:STRAIGHT] for name in ("left_wide", "right_wide"))
     found, _ = calibrate_pair(left, right, POINTS, a, b)
-    np.testing.assert_allclose(found, T_rcam_lcam(head, np.zeros(4)), atol=1e-5)
+    np.testing.assert_allclose(found, relative_camera_pose(head, np.zeros(4)), atol=1e-5)
 
 
 def test_noise_leaves_an_error_of_its_own_size():

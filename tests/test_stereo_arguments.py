@@ -12,7 +12,7 @@ from vergence.gaze.foveation import gaze_angles
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.neck import Neck
 from vergence.geometry.projection import project_point
-from vergence.stereo.extrinsics import T_rcam_lcam, base_extrinsics
+from vergence.stereo.extrinsics import base_extrinsics, relative_camera_pose
 from vergence.stereo.rectification import rectify
 from vergence.stereo.triangulation import in_body, in_head, triangulate_at
 from vergence.stereo.uncertainty import locate
@@ -104,7 +104,7 @@ def test_readings_in_degrees_are_refused(head: HeadCalibration):
         lambda: locate(head, **seen, joints=degrees),
         lambda: rectify(head, degrees),
         lambda: project_point(head, "left_wide", degrees, point),
-        lambda: T_rcam_lcam(head, degrees),
+        lambda: relative_camera_pose(head, degrees),
     ):
         with pytest.raises(VergenceError, match=r"in radians; found a joint at 1[45]\.?\d*, more"):
             use()
@@ -147,7 +147,7 @@ def test_measured_poses_that_are_not_rigid_are_refused(head: HeadCalibration, po
         lambda: locate(head, **seen, joints=poses),
         lambda: locate(head, **seen, joints=poses[None], joint_time_s=[0.0]),
         lambda: rectify(head, poses),
-        lambda: T_rcam_lcam(head, poses),
+        lambda: relative_camera_pose(head, poses),
     ):
         with pytest.raises(VergenceError, match="joints has a pose that is not rigid"):
             use()

@@ -12,8 +12,8 @@ from texts import texts
 from vergence.arrays import Array
 from vergence.calibration.target_poses import TargetPoseEstimate, adjust_target_poses
 from vergence.errors import VergenceError
-from vergence.geometry.head import HeadCalibration, T_base_cam
-from vergence.geometry.kinematics import EYES, Side, T_base_eye
+from vergence.geometry.head import HeadCalibration, camera_pose_in_base
+from vergence.geometry.kinematics import EYES, Side, eye_pose
 from vergence.geometry.parameters import boxminus, without_offsets
 from vergence.geometry.se3 import boxplus, inverse
 
@@ -41,7 +41,7 @@ def measured(
     poses = {}
     for name, mounted in head.cameras.items():
         there = T_lbase_target if mounted.eye == "left" else head.T_rbase_lbase @ T_lbase_target
-        T = inverse(T_base_cam(head, name, joints)) @ there
+        T = inverse(camera_pose_in_base(head, name, joints)) @ there
         poses[name] = boxplus(T, rng.normal(0, 1, (views, 6)) * noise)
     return poses, joints + rng.normal(0, joint_std, joints.shape)
 
@@ -182,7 +182,7 @@ def test_eye_poses_that_are_one_row_late_are_void_and_no_traceback():
     rng = np.random.default_rng(0)
     head = head_of("pan, tilt", rng)
     poses, readings = measured(head, rng, pose_std=(0.003, 0.0006), joint_std=0.002)
-    eyes = np.stack([T_base_eye(head.kinematics, each, readings) for each in EYES], axis=1)
+    eyes = np.stack([eye_pose(head.kinematics, each, readings) for each in EYES], axis=1)
     covariance = dict.fromkeys(poses, np.diag(np.repeat([1e-3, 3.65e-3], 3) ** 2))
     found = adjust_target_poses(
         poses, np.roll(eyes, 1, axis=0), eyes=EYES_OF, covariance=covariance

@@ -42,7 +42,7 @@ def test_paths_keep_to_their_space_and_come_to_the_stated_speed(seed: int):
 @pytest.mark.usefixtures("coarse_images")
 def test_a_moving_object_stays_on_both_foveas_and_is_found_again_after_it_was_hidden():
     with Twin(load_profile("paper"), seed=1) as twin:
-        settings = GazeSettings(calibration=twin.truth, joint_std_rad=2.6e-3)
+        settings = GazeSettings(calibration=twin.truth, reading_std=2.6e-3)
         found = follow(twin, settings, 0, smooth_path(4, 3.0), 1.8, hidden_s=0.8)
     assert found.found_again
     assert found.in_both > 0.9

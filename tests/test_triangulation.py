@@ -11,12 +11,12 @@ from scipy.optimize import least_squares
 
 from simulated_head import plain_head, point_in_camera, skewed_head
 from vergence.geometry.camera import pinhole, project
-from vergence.geometry.head import HeadCalibration, T_base_cam, T_body_base
-from vergence.geometry.kinematics import T_base_eye
+from vergence.geometry.head import HeadCalibration, base_pose_in_body, camera_pose_in_base
+from vergence.geometry.kinematics import eye_pose
 from vergence.geometry.lens import CameraModel
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
-from vergence.stereo.extrinsics import T_rcam_lcam, base_extrinsics
+from vergence.stereo.extrinsics import base_extrinsics, relative_camera_pose
 from vergence.stereo.sightings import CHUNK
 from vergence.stereo.triangulation import Status, in_body, in_head, triangulate_at
 from vergence.stereo.uncertainty import locate
@@ -54,7 +54,7 @@ def test_one_posture_serves_all_points():
     left, right = (
         project_point(head, name, posture, points) for name in ("left_wide", "right_wide")
     )
-    stds = {"pixel_std_px": 0.1, "joint_std_rad": 1e-3}
+    stds = {"pixel_std_px": 0.1, "reading_std": 1e-3}
     one = locate(head, left=left, right=right, joints=posture, **stds)
     tiled = locate(head, left=left, right=right, joints=np.tile(posture, (3, 1)), **stds)
     np.testing.assert_allclose(one.xyz, points, atol=1e-9)
@@ -82,7 +82,7 @@ def test_a_point_alone_is_located_as_it_is_among_others(model: CameraModel, k: t
     _, eyes, left, right = random_samples(head, rng, 8)
     left, right = left + rng.normal(0, 0.2, left.shape), right + rng.normal(0, 0.2, right.shape)
     left[0], left[1], right[2], eyes[3, 1] = np.nan, 1e6, left[2] + [300, 0], np.inf
-    stds = {"pixel_std_px": 0.1, "joint_std_rad": 1e-3}
+    stds = {"pixel_std_px": 0.1, "reading_std": 1e-3}
     together = locate(head, left=left, right=right, joints=eyes, **stds)
     expected = [Status.NOT_SEEN, Status.NOT_SEEN, Status.BEHIND, Status.NOT_SEEN, *[Status.OK] * 4]
     assert together.status.tolist() == expected
@@ -154,8 +154,8 @@ def head(rng: np.random.Generator) -> HeadCalibration:
 
 def stereo_pose(head: HeadCalibration, eyes: np.ndarray) -> np.ndarray:
     """Return T_rcam_lcam (N, 4, 4), straight from the poses of the two cameras."""
-    T_lbase_lcam = T_base_cam(head, "left_wide", eyes)
-    T_rbase_rcam = T_base_cam(head, "right_wide", eyes)
+    T_lbase_lcam = camera_pose_in_base(head, "left_wide", eyes)
+    T_rbase_rcam = camera_pose_in_base(head, "right_wide", eyes)
     return inverse(T_rbase_rcam) @ head.T_rbase_lbase @ T_lbase_lcam
 
 
@@ -186,10 +186,10 @@ def test_equation_4_maps_from_the_left_camera_to_the_right_one(head, rng):
 def equation_10_terms(head: HeadCalibration, eyes: np.ndarray) -> dict[str, np.ndarray]:
     """Return what Eqs. 10-11 are made of, at eye angles (N, 4)."""
     return {
-        "T_rbase_reye": T_base_eye(head.kinematics, "right", eyes),
+        "T_rbase_reye": eye_pose(head.kinematics, "right", eyes),
         "T_reye_rcam": head.cameras["right_wide"].T_eye_cam,
         "T_leye_lcam": head.cameras["left_wide"].T_eye_cam,
-        "T_lbase_leye": T_base_eye(head.kinematics, "left", eyes),
+        "T_lbase_leye": eye_pose(head.kinematics, "left", eyes),
     }
 
 
@@ -250,7 +250,7 @@ def test_equation_11_gives_the_static_calibration_back_at_theta_0(head, rng):
         terms = equation_10_terms(head, eyes)
         static = stereo_pose(head, eyes)
         T_rbase_lbase = base_extrinsics(T_rcam_lcam=static, **terms)
-        mended = T_rcam_lcam(replace(head, T_rbase_lbase=T_rbase_lbase[0]), eyes)
+        mended = relative_camera_pose(replace(head, T_rbase_lbase=T_rbase_lbase[0]), eyes)
         np.testing.assert_allclose(mended, static, atol=1e-14)
         printed = printed_11(T_rbase_lbase, terms)
         assert (np.abs(printed - static).max(axis=(1, 2)) > 0.5).all()
@@ -261,7 +261,7 @@ def test_equation_11_follows_the_eyes(head: HeadCalibration, rng: np.random.Gene
     points, eyes, *_ = random_samples(head, rng, 20)
     terms = equation_10_terms(head, eyes)
     y_l, y_r = (point_in_camera(head, name, eyes, points) for name in ("left_wide", "right_wide"))
-    mended = T_rcam_lcam(head, eyes)
+    mended = relative_camera_pose(head, eyes)
     np.testing.assert_allclose(transform(mended, y_l), y_r, atol=1e-13)
     misses = np.linalg.norm(transform(printed_11(head.T_rbase_lbase, terms), y_l) - y_r, axis=1)
     assert (misses > 0.1).all()
@@ -272,9 +272,9 @@ def test_equation_12_gives_the_same_body_point_wherever_eyes_and_neck_look(head,
     in_body_m = np.array([1.0, 0.1, 0.2])
     neck = rng.uniform(-0.1, 0.1, (20, 3))
     eyes = rng.uniform(-0.25, 0.25, (20, 4))
-    T_body_lbase = T_body_base(head, "left", neck)
+    T_body_lbase = base_pose_in_body(head, "left", neck)
     y_l = point_in_camera(head, "left_wide", eyes, transform(inverse(T_body_lbase), in_body_m))
-    T_er, T_ec = T_base_eye(head.kinematics, "left", eyes), head.cameras["left_wide"].T_eye_cam
+    T_er, T_ec = eye_pose(head.kinematics, "left", eyes), head.cameras["left_wide"].T_eye_cam
     y_b = transform(T_body_lbase @ T_er @ T_ec, y_l)
     np.testing.assert_allclose(y_b, np.tile(in_body_m, (20, 1)), atol=1e-14)
     wandering = transform(T_body_lbase @ T_er @ inverse(T_ec), y_l)
@@ -288,7 +288,7 @@ def test_locating_in_the_body_is_equation_12(seed: int):
     head = skewed_head(rng)
     points, eyes, left, right = random_samples(head, rng, 10)
     neck = rng.uniform(-0.5, 0.5, (10, 3))
-    expected = transform(T_body_base(head, "left", neck), points)
+    expected = transform(base_pose_in_body(head, "left", neck), points)
     located = locate(head, left=left, right=right, joints=eyes)
     np.testing.assert_allclose(in_body(head, located.xyz, neck), expected, atol=1e-9)
 

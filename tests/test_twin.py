@@ -12,7 +12,7 @@ import pytest
 from other_heads import KINDS
 from simulated_head import pan_tilt_pose
 from vergence.data.dataset import Frame
-from vergence.geometry.head import HeadCalibration, T_base_cam, T_body_base
+from vergence.geometry.head import HeadCalibration, base_pose_in_body, camera_pose_in_base
 from vergence.geometry.kinematics import Kinematics
 from vergence.geometry.neck import NECK_JOINTS
 from vergence.geometry.se3 import pose
@@ -20,8 +20,8 @@ from vergence.twin.head import Twin
 from vergence.twin.model import (
     CAMERAS,
     R_MJCAM_CAM,
-    T_world_body,
     as_built_head,
+    body_pose,
     compile_head,
     hinges,
     nominal_head,
@@ -67,8 +67,8 @@ def test_the_truth_has_its_cameras_where_mujoco_has_them(seed: int, kind: str):
         mujoco.mj_camlight(model, data)
         for name in CAMERAS:
             eye = truth.cameras[name].eye
-            T = T_world_body(data, "body") @ T_body_base(truth, eye, angles[NECK])
-            T = T @ T_base_cam(truth, name, angles[EYES]) @ pose(R_MJCAM_CAM)
+            T = body_pose(data, "body") @ base_pose_in_body(truth, eye, angles[NECK])
+            T = T @ camera_pose_in_base(truth, name, angles[EYES]) @ pose(R_MJCAM_CAM)
             camera = data.camera(name)
             np.testing.assert_allclose(T[:3, 3], camera.xpos, atol=1e-9)
             np.testing.assert_allclose(T[:3, :3], camera.xmat.reshape(3, 3), atol=1e-9)

@@ -66,8 +66,8 @@ def test_noise_is_a_standard_deviation_for_all_or_for_each_measurement():
         ({"pixel_std_px": np.nan}, "0 or more; found nan"),
         ({"pixel_std_px": [0.1, 0.1]}, r"shape \(4,\) or \(3, 4\); found one of shape \(2,\)"),
         ({"pixel_std_px": np.ones((2, 4))}, r"found one of shape \(2, 4\)"),
-        ({"joint_std_rad": [1e-3, 1e-3, -1e-3, 1e-3]}, "joint_std_rad is .* found -0.001"),
-        ({"joint_std_rad": [1e-3] * 3}, r"joint_std_rad is .* found one of shape \(3,\)"),
+        ({"reading_std": [1e-3, 1e-3, -1e-3, 1e-3]}, "reading_std is .* found -0.001"),
+        ({"reading_std": [1e-3] * 3}, r"reading_std is .* found one of shape \(3,\)"),
     ):
         with pytest.raises(VergenceError, match=found):
             locate(head, **seen, **wrong)
@@ -150,7 +150,7 @@ def test_measured_eye_poses_locate_as_the_angles_do_and_have_their_own_noise():
     noisy = boxplus(poses, rng.normal(0, np.repeat(stds, 3), (20_000, 2, 6)))
     sampled = np.cov(locate(head, left=left, right=right, joints=noisy).xyz.T)
     (stated,) = locate(
-        head, left=left[:1], right=right[:1], joints=poses, pixel_std_px=0.0, joint_std_rad=stds
+        head, left=left[:1], right=right[:1], joints=poses, pixel_std_px=0.0, reading_std=stds
     ).covariance
     # A hundredth of the spread is what 20,000 samples leave open.
     np.testing.assert_allclose(np.sqrt(np.diag(stated)), np.sqrt(np.diag(sampled)), rtol=0.03)
@@ -183,7 +183,7 @@ def test_the_closed_form_agrees_with_simulation_on_the_axis(depth, focal, joint_
     camera = head.cameras["left_wide"].intrinsics
     pixels = np.array([project(camera, in_left), project(camera, in_left - [baseline, 0, 0])])
     observed = simulate(head, pixels, np.zeros(4), pixel, np.radians(joint_deg))
-    stds = {"joint_std_rad": np.radians(joint_deg), "pixel_std_px": pixel}
+    stds = {"reading_std": np.radians(joint_deg), "pixel_std_px": pixel}
     middle = [ahead + depth, -baseline / 2, 0.0]
     predicted = predicted_depth_std(middle, baseline, focal, **stds, camera_ahead_m=ahead)
     assert predicted / depth < 0.08
@@ -194,7 +194,7 @@ def test_the_closed_form_without_the_cameras_lever_is_too_small():
     """Eq. 21 turns the camera about its own centre, while an eye turns about another one."""
     plain, levered = (
         predicted_depth_std(
-            [ahead + 0.426, -0.046, 0.0], 0.092, 280.0, joint_std_rad=2e-3, camera_ahead_m=ahead
+            [ahead + 0.426, -0.046, 0.0], 0.092, 280.0, reading_std=2e-3, camera_ahead_m=ahead
         )
         for ahead in (0.0, 0.02)
     )
@@ -206,7 +206,7 @@ def test_the_covariance_agrees_with_simulation_anywhere(seed: int):
     rng = np.random.default_rng(seed)
     head = skewed_head(rng)
     _, eyes, left, right = random_samples(head, rng, 1)
-    stds = {"pixel_std_px": 0.2, "joint_std_rad": np.radians(0.03)}
+    stds = {"pixel_std_px": 0.2, "reading_std": np.radians(0.03)}
     (predicted,) = locate(head, left=left, right=right, joints=eyes, **stds).covariance
     observed = simulate(head, np.stack([left[0], right[0]]), eyes[0], *stds.values())
     # Along the axes of the observed ellipsoid: 1.1 % for curvature, and sampling error.
@@ -220,7 +220,7 @@ def test_the_covariance_agrees_with_the_closed_form_on_the_axis():
     head = plain_head(0.092, 280.0, camera_m=((0.02, 0, 0),) * 2)
     point, straight = np.array([[1.02, -0.046, 0.0]]), np.zeros(4)  # 1 m before the cameras
     left, right = (project_point(head, f"{eye}_wide", straight, point) for eye in EYES)
-    noise = {"joint_std_rad": 1e-3, "pixel_std_px": 0.3}
+    noise = {"reading_std": 1e-3, "pixel_std_px": 0.3}
     (covariance,) = locate(head, left=left, right=right, joints=straight, **noise).covariance
     closed = predicted_depth_std(point[0], 0.092, 280.0, camera_ahead_m=0.02, **noise)
     assert np.sqrt(covariance[0, 0]) == pytest.approx(closed, rel=0.003)
@@ -232,7 +232,7 @@ def test_each_input_may_have_its_own_noise():
     _, eyes, left, right = random_samples(head, rng, 7)
 
     def covariance(pixel_px: ArrayLike, joint_rad: ArrayLike) -> np.ndarray:
-        stds = {"pixel_std_px": pixel_px, "joint_std_rad": joint_rad}
+        stds = {"pixel_std_px": pixel_px, "reading_std": joint_rad}
         return locate(head, left=left, right=right, joints=eyes, **stds).covariance
 
     parts = sum(
@@ -245,7 +245,7 @@ def test_each_input_may_have_its_own_noise():
 def test_what_cannot_be_located_has_no_covariance_nor_has_anything_if_no_noise_is_stated():
     left = np.array([[320.0, 240.0], [np.nan, 240.0], [340.0, 240.0]])
     right = np.array([[320.0, 240.0], [300.0, 240.0], [320.0, 240.0]])
-    for stds in ({}, {"joint_std_rad": 1e-3}, {"pixel_std_px": 0.1}):
+    for stds in ({}, {"reading_std": 1e-3}, {"pixel_std_px": 0.1}):
         found = locate(plain_head(0.09, 280.0), left=left, right=right, joints=np.zeros(4), **stds)
         assert np.isfinite(found.xyz).all(axis=1).tolist() == [False, False, True]
         assert np.isfinite(found.covariance).all(axis=(1, 2)).tolist() == [False, False, bool(stds)]
@@ -257,7 +257,7 @@ def test_a_point_without_noise_of_its_own_leaves_the_weights_of_the_others():
     _, eyes, left, right = random_samples(head, rng, 5)
     left = left + rng.normal(0, 1, left.shape)
     noise = np.tile([0.05, 0.05, 0.5, 0.5], (5, 1))
-    seen: dict[str, Any] = {"left": left, "right": right, "joints": eyes, "joint_std_rad": 1e-3}
+    seen: dict[str, Any] = {"left": left, "right": right, "joints": eyes, "reading_std": 1e-3}
     whole = locate(head, **seen, pixel_std_px=noise)
     noise[2] = np.nan
     found = locate(head, **seen, pixel_std_px=noise)
@@ -273,7 +273,7 @@ def test_noise_counts_that_a_calibration_states_without_a_covariance():
     seen: dict[str, Any] = {"left": left, "right": right, "joints": eyes}
     stated = Accuracy("paper", pixel_std_px=0.1, joint_std=(2e-3,))
     found = locate(replace(head, accuracy=stated), **seen)
-    given = locate(head, **seen, pixel_std_px=0.1, joint_std_rad=2e-3)
+    given = locate(head, **seen, pixel_std_px=0.1, reading_std=2e-3)
     np.testing.assert_allclose(found.covariance, given.covariance)
 
 
@@ -283,7 +283,7 @@ def test_points_of_a_head_that_was_estimated_with_its_readings_are_weighted_like
     _, eyes, left, right = random_samples(head, rng, 5)
     left, noise = left + rng.normal(0, 1, left.shape), [0.1, 0.1, 3.0, 3.0]
     seen: dict[str, Any] = {"left": left, "right": right, "joints": eyes[0], "pixel_std_px": noise}
-    alone = locate(head, **seen, joint_std_rad=1e-3)
+    alone = locate(head, **seen, reading_std=1e-3)
     jointly = locate_jointly(head, **seen, estimate=((), 1e-6 * np.eye(4)))
     np.testing.assert_allclose(jointly.xyz, alone.xyz)
     np.testing.assert_allclose(jointly.covariance, alone.covariance)
@@ -299,7 +299,7 @@ def test_the_covariance_of_a_difference_leaves_out_what_is_shared():
     turned = eyes + rng.normal(0, joint_std, (n, 4))
     noisy = np.stack([left, right], axis=1)[:, :, None] + rng.normal(0, pixel_std, (2, 2, n, 2))
     a, b = (triangulate_at(head, left=u, right=v, joints=turned)[0] for u, v in noisy)
-    stds = {"pixel_std_px": pixel_std, "joint_std_rad": joint_std}
+    stds = {"pixel_std_px": pixel_std, "reading_std": joint_std}
     difference, stated = combination(
         head, weights=np.array([1.0, -1.0]), left=left, right=right, joints=eyes, **stds
     )
@@ -314,7 +314,7 @@ def test_a_head_without_joints_locates_with_covariance():
     rigid = replace(moving, kinematics=Kinematics({"left": (), "right": ()}, ()))
     point = np.array([[0.6, -0.04, 0.1]])
     found, expected = (
-        locate(head, left=left, right=right, joints=joints, pixel_std_px=0.1, joint_std_rad=0.0)
+        locate(head, left=left, right=right, joints=joints, pixel_std_px=0.1, reading_std=0.0)
         for head, joints in ((rigid, np.zeros(0)), (moving, np.zeros(4)))
         for left, right in [[project_point(head, name, joints, point) for name in pair]]
     )

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 
 from simulated_head import unskewed_head
 from vergence.errors import VergenceError
-from vergence.geometry.head import T_base_cam, T_body_base, T_head_base
+from vergence.geometry.head import base_pose, base_pose_in_body, camera_pose_in_base
 from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics
-from vergence.geometry.neck import NECK_JOINTS, Neck, T_body_head
+from vergence.geometry.neck import NECK_JOINTS, Neck, head_pose
 from vergence.geometry.se3 import inverse, pose, rotation, rotvec
 from vergence.interchange import urdf
 
@@ -57,15 +57,13 @@ def test_the_urdf_moves_as_the_head_does(seed, tmp_path_factory):
     rng = np.random.default_rng(seed)
     neck, eyes = rng.uniform(-0.5, 0.5, 3), rng.uniform(-0.5, 0.5, 4)
     angles = dict(zip((*NECK_JOINTS, *EYE_JOINTS), (*neck, *eyes), strict=True))
-    np.testing.assert_allclose(
-        tree.T_root("head", angles), T_body_head(head.neck, neck), atol=1e-12
-    )
+    np.testing.assert_allclose(tree.T_root("head", angles), head_pose(head.neck, neck), atol=1e-12)
     for name, mounted in head.cameras.items():
-        T_body_eye_base = T_body_base(head, mounted.eye, neck)
+        T_body_eye_base = base_pose_in_body(head, mounted.eye, neck)
         np.testing.assert_allclose(
             tree.T_root(f"{mounted.eye}_base", angles), T_body_eye_base, atol=1e-12
         )
-        wanted = T_body_eye_base @ T_base_cam(head, name, eyes)
+        wanted = T_body_eye_base @ camera_pose_in_base(head, name, eyes)
         np.testing.assert_allclose(tree.T_root(f"{name}_optical_frame", angles), wanted, atol=1e-12)
 
 
@@ -82,7 +80,7 @@ def test_a_head_with_perfect_axes_has_plain_joints(tmp_path):
     children = [child.get("link") for child in robot.iter("child")]
     assert sorted([*children, "body"], key=str) == sorted(links, key=str)
     T = Tree(tmp_path / "head.urdf").T_root("right_base", {})
-    np.testing.assert_allclose(T, T_head_base(head, "right"), atol=1e-12)
+    np.testing.assert_allclose(T, base_pose(head, "right"), atol=1e-12)
 
 
 def limits_rad(joint: ElementTree.Element) -> tuple[float, float]:

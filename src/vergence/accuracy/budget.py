@@ -60,13 +60,13 @@ class Source:
     name: str
     pixel_std_px: float | Array = 0.0
     """Noise of each coordinate, or of left u, left v, right u, right v (4,)."""
-    joint_std_rad: float | Array = 0.0
+    reading_std: float | Array = 0.0
     """Noise of each reading, or of all (r,)."""
     errors: Mapping[str, float] = field(default_factory=dict)
     """Calibration minus truth, by parameter of the head."""
 
     def __post_init__(self) -> None:
-        stds = np.concatenate([np.ravel(self.pixel_std_px), np.ravel(self.joint_std_rad)])
+        stds = np.concatenate([np.ravel(self.pixel_std_px), np.ravel(self.reading_std)])
         if not ((stds >= 0) & (stds < np.inf)).all():
             raise VergenceError(f"{self.name} has a standard deviation of 0 or more, found {stds}.")
 
@@ -203,7 +203,7 @@ def _white(located: Linearised, seen: Sightings, source: Source) -> Array:
         joints=seen.joints,
         cameras=seen.cameras,
         pixel_std_px=source.pixel_std_px,
-        joint_std_rad=source.joint_std_rad,
+        reading_std=source.reading_std,
     )
     return sum(((c**2).sum(axis=2).mean(axis=0) for c in by_noise(located, noisy)), np.zeros(3))
 
@@ -257,7 +257,7 @@ def stated_sources(head: HeadCalibration, pixel_std_px: float | None) -> list[So
     pixels = pixel_stds(head, None) if pixel_std_px is None else pixel_std_px
     joints = reading_stds(head)
     sources = [Source("pixel noise", pixel_std_px=pixels)] if np.any(pixels) else []
-    return sources + [Source("joint noise", joint_std_rad=joints)] * bool(joints.any())
+    return sources + [Source("joint noise", reading_std=joints)] * bool(joints.any())
 
 
 def motion_budgets(
@@ -308,7 +308,7 @@ def motion_of(name: str, head: HeadCalibration) -> tuple[Array, Array]:
     if name in PERIOD_S:
         time_s = np.arange(SAMPLES) * PERIOD_S[name] / SAMPLES
         turns = eye_angles("parallel" if name == "parallel" else "divergent", time_s)
-        readings = turns / head.kinematics.factors
+        readings = turns / head.kinematics.gear_ratios
         return readings, np.gradient(readings, time_s, axis=0)
     if not os.path.isdir(name):
         raise VergenceError(

@@ -69,7 +69,7 @@ class Sensitivity:
     """(N, 2) largest distance of the point from the middle of an image, sideways and upwards."""
 
 
-def joint_std_rad(counts_per_turn: ArrayLike, noise_deg: ArrayLike) -> Array:
+def reading_std(counts_per_turn: ArrayLike, noise_deg: ArrayLike) -> Array:
     """Compute the standard deviation [rad] of readings with steps and noise; 0 counts: no steps."""
     counts = np.asarray(counts_per_turn, float)
     step = np.where(counts > 0, 2 * np.pi / np.maximum(counts, 1), 0.0)
@@ -129,12 +129,12 @@ def sensitivity(
     points: Array,
     joints: Array,
     corner_std_px: float,
-    joint_std_rad: Array,
+    reading_std: Array,
 ) -> Sensitivity:
     """Compute what each source adds to the errors of points that a designed head locates.
 
     Points (N, 3) [m] are in the left eye's base frame, and are located at joints (N, 4) [rad].
-    `joint_std_rad` (J,) are levels of the noise of readings in the calibration.
+    `reading_std` (J,) are levels of the noise of readings in the calibration.
     """
     left, right = (project_point(head, name, joints, points) for name in WIDE)
     seen = linearised(
@@ -152,7 +152,7 @@ def sensitivity(
         names,
         scale=np.ones(len(names)),
         pixel_std_px=corner_std_px,
-        joint_stds=np.repeat(joint_std_rad[:, None], 4, axis=1),
+        joint_stds=np.repeat(reading_std[:, None], 4, axis=1),
     )
     calibration = []
     for of_views in information:
@@ -174,7 +174,7 @@ def noise_mean_square(
     seen: Sensitivity,
     *,
     pixel_std_px: ArrayLike,
-    joint_std_rad: ArrayLike,
+    reading_std: ArrayLike,
     late_rad: ArrayLike = 0.0,
     correlation: float = 0.0,
 ) -> Array:
@@ -183,6 +183,6 @@ def noise_mean_square(
     late_rad is the rms turn of a joint while its reading is late.
     """
     late = np.asarray(late_rad, float) ** 2
-    joint = np.asarray(joint_std_rad, float) ** 2 + late
+    joint = np.asarray(reading_std, float) ** 2 + late
     by_pixels = np.asarray(pixel_std_px, float) ** 2 * seen.pixel
     return by_pixels + joint * seen.joint + correlation * late * seen.common

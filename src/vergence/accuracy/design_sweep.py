@@ -23,8 +23,8 @@ from vergence.accuracy.design import (
     Sensitivity,
     designed_head,
     fixating_joints,
-    joint_std_rad,
     noise_mean_square,
+    reading_std,
     sensitivity,
 )
 from vergence.accuracy.design_settings import (
@@ -99,7 +99,7 @@ def compute_chunk(settings: DesignSettings) -> Array:
         noise = noise_mean_square(
             seen,
             pixel_std_px=np.array(designs.pixel_noise_px)[:, None],
-            joint_std_rad=joint_std_rad(designs.counts_per_turn[c], designs.joint_noise_deg[j]),
+            reading_std=reading_std(designs.counts_per_turn[c], designs.joint_noise_deg[j]),
             late_rad=_late_rad(settings, designs.delay_ms[t]),
             correlation=where.eye_correlation,
         )
@@ -122,7 +122,7 @@ def _sensitivity(settings: DesignSettings, points: Array, off: Array) -> Sensiti
     where, designs = settings.workspace, settings.designs
     baseline_m, square_m = 1e-3 * designs.baseline_mm[0], 1e-3 * designs.square_mm[0]
     points = points - [0.0, baseline_m / 2, 0.0]
-    stds = joint_std_rad(np.array(designs.counts_per_turn)[:, None], designs.joint_noise_deg)
+    stds = reading_std(np.array(designs.counts_per_turn)[:, None], designs.joint_noise_deg)
     return sensitivity(
         designed_head(
             baseline_m, designs.focal_px[0], 1e-3 * where.camera_ahead_mm, where.image_px
@@ -131,7 +131,7 @@ def _sensitivity(settings: DesignSettings, points: Array, off: Array) -> Sensiti
         points=points,
         joints=fixating_joints(baseline_m, points) + np.tile(off, 2),
         corner_std_px=where.corner_noise_px,
-        joint_std_rad=stds.ravel(),
+        reading_std=stds.ravel(),
     )
 
 
@@ -187,12 +187,12 @@ def by_source(settings: DesignSettings, values: dict[str, float], points: Array)
     designs = Designs.model_validate({name: (value,) for name, value in values.items()})
     chunk = settings.model_copy(update={"designs": designs})
     seen = _sensitivity(chunk, points, np.zeros((len(points), 2)))
-    joint_rad = float(joint_std_rad(values["counts_per_turn"], values["joint_noise_deg"]))
+    joint_rad = float(reading_std(values["counts_per_turn"], values["joint_noise_deg"]))
     stds = np.diag([values["pixel_noise_px"], joint_rad, _late_rad(chunk, values["delay_ms"])])
     by_noise = noise_mean_square(
         seen,
         pixel_std_px=stds[:, :1],
-        joint_std_rad=stds[:, 1:2],
+        reading_std=stds[:, 1:2],
         late_rad=stds[:, 2:],
         correlation=settings.workspace.eye_correlation,
     )

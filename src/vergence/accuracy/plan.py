@@ -140,7 +140,7 @@ def largest_readings(kinematics: Kinematics, limits_rad: ArrayLike) -> Array:
             f"Limits are one for each of {', '.join(names)}, or one for all, above 0; found "
             f"{np.degrees(limits)} degrees."
         )
-    return limits if limits.ndim else limits / kinematics.factors
+    return limits if limits.ndim else limits / kinematics.gear_ratios
 
 
 def choose(

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vergence.accuracy.plan_views import T_cam_target, Views, as_seen
+from vergence.accuracy.plan_views import Views, as_seen, target_poses
 from vergence.arrays import Array, scatter_add
 from vergence.calibration.bundle_start import bundle_problem
 from vergence.calibration.summary import DISTANCES_M
@@ -20,7 +20,7 @@ from vergence.gaze.foveation import solve_fixation
 from vergence.geometry.board import Board
 from vergence.geometry.head import (
     HeadCalibration,
-    T_head_base,
+    base_pose,
     check_states_covariance,
     parameter_names,
 )
@@ -100,7 +100,7 @@ def _part_information(
         head,
         as_seen(head, board, views),
         fixed=set(everything) - set(names),
-        T_cam_target=T_cam_target(head, views),
+        T_cam_target=target_poses(head, views),
     )
     rows, postures = problem.measured.rows(problem.start), problem.readings.postures
     assert rows.by_latent is not None
@@ -174,7 +174,7 @@ def workspace(
     """
     a, b = np.meshgrid(ASIDE_RAD * np.arange(-1, 2), ABOVE_RAD * np.arange(-1, 2))
     in_head = np.multiply.outer(np.array(distances_m), looking_along(a, -b)).reshape(-1, 3)
-    points = transform(inverse(T_head_base(head, "left")), in_head)
+    points = transform(inverse(base_pose(head, "left")), in_head)
     in_bases = points, transform(head.T_rbase_lbase, points)
     joints = solve_fixation(head, dict(zip(pair, in_bases, strict=True)))
     joints = np.clip(np.nan_to_num(joints), -limits_rad, limits_rad)

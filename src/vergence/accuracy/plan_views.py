@@ -14,11 +14,11 @@ from vergence.arrays import Array
 from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
 from vergence.geometry.board import Board, corner_points
-from vergence.geometry.camera import in_reach, project
+from vergence.geometry.camera import in_valid_field, project
 from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration, pair_names
 from vergence.geometry.kinematics import EYES
-from vergence.geometry.projection import T_lbase_cam
+from vergence.geometry.projection import camera_pose
 from vergence.geometry.se3 import inverse, pose, rotation, transform
 
 MARGIN_PX = 10.0
@@ -47,11 +47,11 @@ class Views:
         return Views(self.T_lbase_target[rows], self.joints[rows], self.placement[rows])
 
 
-def T_cam_target(head: HeadCalibration, views: Views) -> dict[str, Array]:
+def target_poses(head: HeadCalibration, views: Views) -> dict[str, Array]:
     """Compute the poses (V, 4, 4) of the board by camera."""
     T = eye_poses(head, views.joints)
     return {
-        name: inverse(T_lbase_cam(mounted, head.T_rbase_lbase, T[:, EYES.index(mounted.eye)]))
+        name: inverse(camera_pose(mounted, head.T_rbase_lbase, T[:, EYES.index(mounted.eye)]))
         @ views.T_lbase_target
         for name, mounted in head.cameras.items()
     }
@@ -63,11 +63,11 @@ def shows_whole_board(head: HeadCalibration, board: Board, views: Views) -> np.n
     grid = corner_points(board).reshape(board.rows, board.columns, 3)
     outline = np.concatenate([grid[0], grid[-1], grid[1:-1, 0], grid[1:-1, -1]])
     shown = []
-    for name, T in T_cam_target(head, views).items():
+    for name, T in target_poses(head, views).items():
         lens, points = head.cameras[name].intrinsics, transform(T[:, None], outline)
         pixels, size = project(lens, points), np.array(lens.size)
         inside = ((pixels > MARGIN_PX) & (pixels < size - 1 - MARGIN_PX)).all(axis=-1)
-        shown.append((inside & in_reach(lens, *np.moveaxis(points, -1, 0))).all(axis=1))
+        shown.append((inside & in_valid_field(lens, *np.moveaxis(points, -1, 0))).all(axis=1))
     return np.stack(shown, axis=1)
 
 
@@ -110,7 +110,7 @@ def _boards(
     mounted = head.cameras[pair_names(head)[0]]
     corners = corner_points(board)
     gaze = rng.uniform(-limits_rad, limits_rad, (count, len(limits_rad)))
-    T_lbase_left = T_lbase_cam(mounted, head.T_rbase_lbase, eye_poses(head, gaze)[:, 0])
+    T_lbase_left = camera_pose(mounted, head.T_rbase_lbase, eye_poses(head, gaze)[:, 0])
     lens = mounted.intrinsics
     size = np.ptp(corners, axis=0).max()
     fills = rng.uniform(*FILLS, count)
@@ -126,7 +126,7 @@ def _boards(
 def as_seen(head: HeadCalibration, board: Board, views: Views) -> Observations:
     """Simulate the observations of views without noise; a camera shows whole boards or nothing."""
     shown, corners = shows_whole_board(head, board, views), {}
-    for c, (name, T) in enumerate(T_cam_target(head, views).items()):
+    for c, (name, T) in enumerate(target_poses(head, views).items()):
         pixels = project(head.cameras[name].intrinsics, transform(T[:, None], corner_points(board)))
         corners[name] = np.where(shown[:, c, None, None], pixels, np.nan)
     return Observations(

@@ -196,7 +196,7 @@ def _levels(
         turned = 1.0  # angle of a joint by one radian of its reading: see `factors`
         if postures.T_base_eye_read is None:
             kinematics = problem.start["head"].kinematics
-            turned = float(kinematics.factors[postures.columns[0, list(latent)]].max())
+            turned = float(kinematics.gear_ratios[postures.columns[0, list(latent)]].max())
         first = GENEROUS_JOINT / turned
         if joint_std is not None:
             first = float(np.broadcast_to(joint_std, len(names))[k])

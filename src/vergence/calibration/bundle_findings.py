@@ -242,7 +242,7 @@ def _noisy_readings(of: BundleFindings) -> Iterator[Finding]:
     kinematics, postures = of.found.x["head"].kinematics, of.problem.readings.postures
     columns = [np.unique(postures.columns[:, list(level.latent)]) for level in of.reading_levels]
     noise = np.array([of.found.levels[level.name] for level in of.reading_levels])
-    noise *= [kinematics.factors[each].max() for each in columns]
+    noise *= [kinematics.gear_ratios[each].max() for each in columns]
     worst = int(noise.argmax())
     others = np.delete(noise, worst).max()
     if noise[worst] > max(NOISY * others, NOISY_RAD):

@@ -254,7 +254,7 @@ def reading_levels(
         left, right = (detections.posture[detections.eyes == e] for e in range(len(EYES)))
         blocks = len(np.intersect1d(left, right))
     few = blocks < least_blocks
-    if few and kinematics.factors.max() < GEARED * kinematics.factors.min():
+    if few and kinematics.gear_ratios.max() < GEARED * kinematics.gear_ratios.min():
         return ("readings",) * postures.reading.shape[1]
     kinds = np.array(reading_kinds(kinematics))[postures.columns[0]]
     numbers = np.unique(kinds, return_inverse=True)[1]

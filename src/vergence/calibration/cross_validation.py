@@ -28,7 +28,7 @@ from vergence.geometry.kinematics import EYES
 from vergence.geometry.parameters import boxminus
 from vergence.geometry.projection import project_at
 from vergence.geometry.se3 import inverse, transform
-from vergence.stereo.extrinsics import T_rcam_lcam
+from vergence.stereo.extrinsics import relative_camera_pose
 from vergence.stereo.triangulation import triangulate_at
 from vergence.stereo.uncertainty import combination
 from vergence.vision.board_pose import LEAST_CORNERS, board_poses, seen_corners
@@ -196,7 +196,7 @@ def _transferred(
     if not len(views.placement):
         return {}
     points = part.board_scale * corner_points(views.board)
-    between = T_rcam_lcam(head, views.eye_poses(head), cameras=pair)
+    between = relative_camera_pose(head, views.eye_poses(head), cameras=pair)
     errors = []
     for source, target, T in ((0, 1, between), (1, 0, inverse(between))):
         lenses = [head.cameras[pair[k]].intrinsics for k in (source, target)]

@@ -23,7 +23,7 @@ from vergence.geometry.board import Chessboard
 from vergence.geometry.camera import Camera, intrinsics_names
 from vergence.geometry.head import HeadCalibration, MountedCamera, parameter_names
 from vergence.geometry.joints import Joint
-from vergence.geometry.kinematics import Kinematics, T_base_eye, check_turns, pan_tilt
+from vergence.geometry.kinematics import Kinematics, check_turns, eye_pose, pan_tilt
 from vergence.geometry.se3 import check_rigid, known_poses
 from vergence.vision.board_pose import board_poses
 
@@ -102,7 +102,7 @@ def refine_eye_camera(
             f"joint_std of joint readings is one number [rad], found {joint_std}; two, of "
             "rotation [rad] and translation [m], are for measured eye poses."
         )
-    T_read = eye if angles is None else T_base_eye(kinematics, "left", angles)
+    T_read = eye if angles is None else eye_pose(kinematics, "left", angles)
     T_cam_target = board_poses(camera, pixels, points)
     if start is None:
         known = known_poses(T_cam_target)

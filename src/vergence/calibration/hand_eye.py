@@ -1,7 +1,7 @@
 """Where a camera sits in its eye: AX = XB by the method of Park and Martin (Eqs. 5-9).
 
 With X = T_eye_cam, the consistent form of Eqs. 5-6 is A X = X B for motions of the eye,
-A = T_base_eye(i)^-1 T_base_eye(j), and of the camera, B = T_cam_target(i) T_cam_target(j)^-1.
+A = eye_pose(i)^-1 eye_pose(j), and of the camera, B = target_poses(i) target_poses(j)^-1.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from vergence.findings import Finding
 from vergence.geometry.board import Board
 from vergence.geometry.camera import is_image_size
 from vergence.geometry.head import HeadCalibration, check_camera_name
-from vergence.geometry.kinematics import EYES, Kinematics, Side, T_base_eye
+from vergence.geometry.kinematics import EYES, Kinematics, Side, eye_pose
 from vergence.geometry.se3 import check_rigid, inverse, known_poses, mean_pose
 
 NO_CORNERS, UNREADABLE_IMAGE = "no-corners", "unreadable-image"
@@ -149,7 +149,7 @@ class Observations:
         if self.T_base_eye is not None:
             return self.T_base_eye
         own = self.kinematics if head is None else head.kinematics
-        return np.stack([T_base_eye(own, eye, self.eye_angles) for eye in EYES], axis=1)
+        return np.stack([eye_pose(own, eye, self.eye_angles) for eye in EYES], axis=1)
 
     def at_image_times(self, head: HeadCalibration) -> Observations:
         """Return the observations with readings at the moments of the images.

@@ -34,7 +34,7 @@ from vergence.geometry.kinematics import (
     EYES,
     Kinematics,
     Side,
-    T_base_eye,
+    eye_pose,
     straight_gaze,
 )
 from vergence.geometry.se3 import angle, inverse, known_poses, nearest_rotation, pose, rotvec
@@ -154,7 +154,7 @@ def fit_eye(evidence: Evidence, views: EyeViews) -> TurnFit:
     for factors in (1.0, gains):  # the linear fit of the gains is rough for large turns
         scaled = np.zeros_like(readings)
         scaled[:, used] = readings[:, used] * factors
-        fits.append(fit_turns(T_base_eye(kinematics, eye, scaled)[:, :3, :3], R_cam))
+        fits.append(fit_turns(eye_pose(kinematics, eye, scaled)[:, :3, :3], R_cam))
     R, by_view[known], turn = min(fits, key=lambda fit: np.median(fit[1]))
     to_left = np.array([-1.0, 0.0, 0.0]) if views.to_left is None else views.to_left
     upright, symptom = float(R[1] @ to_left), ""

@@ -22,14 +22,14 @@ from vergence.estimation.variables import Variables
 from vergence.geometry.batches import product, times
 from vergence.geometry.eye_motion import eye_linearised
 from vergence.geometry.head import MountedCamera
-from vergence.geometry.kinematics import EYES, T_base_eye, joint_names
+from vergence.geometry.kinematics import EYES, eye_pose, joint_names
 from vergence.geometry.parameters import (
     camera_columns,
     lens_vector,
 )
 from vergence.geometry.projection import (
-    T_lbase_cam,
     by_pose_of_points,
+    camera_pose,
     project_at,
     project_with_jacobians,
 )
@@ -72,7 +72,7 @@ class Postures:
             T = boxplus(self.T_base_eye_read, x.latent.value)
             return np.stack([T, T])
         readings = self.head_readings(x)
-        return np.stack([T_base_eye(x["head"].kinematics, eye, readings) for eye in EYES])
+        return np.stack([eye_pose(x["head"].kinematics, eye, readings) for eye in EYES])
 
     def head_readings(self, x: Variables) -> Array:
         """Compute the noise-free readings (B, r); 0 for those that move no eye of a posture."""
@@ -244,7 +244,7 @@ class TargetPoses(Residual):
         expected = np.empty_like(boards)
         for c, mounted in enumerate(head.cameras.values()):
             mine = d.of_camera(c)
-            T = T_lbase_cam(mounted, head.T_rbase_lbase, T_base_eye[mine])
+            T = camera_pose(mounted, head.T_rbase_lbase, T_base_eye[mine])
             expected[mine] = inverse(T) @ boards[mine]
         return expected
 

@@ -11,7 +11,7 @@ from vergence.errors import counted, listed
 from vergence.findings import select
 from vergence.geometry.head import (
     HeadCalibration,
-    T_head_base,
+    base_pose,
     main_pair,
 )
 from vergence.geometry.head_accuracy import Accuracy
@@ -104,7 +104,7 @@ def point_accuracy(head: HeadCalibration) -> list[tuple[float, float, float]]:
     plain, phase = without_offsets(head), np.arange(8) * np.pi / 4
     turns = np.stack([np.zeros(8), np.sin(phase), np.cos(phase)], axis=1)
     joints = readings_to_turn(head.kinematics, AROUND_RAD * turns)
-    T_lbase_head, rows = inverse(T_head_base(plain, "left")), []
+    T_lbase_head, rows = inverse(base_pose(plain, "left")), []
     for distance in DISTANCES_M:
         # Both eyes turn in the same sense; the point stays in the middle of the head.
         point = transform(T_lbase_head, np.array([distance, 0.0, 0.0]))

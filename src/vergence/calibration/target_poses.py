@@ -33,8 +33,8 @@ from vergence.geometry.kinematics import (
     EYES,
     Kinematics,
     Side,
-    T_base_eye,
     check_turns,
+    eye_pose,
     same_design,
 )
 from vergence.geometry.se3 import angle, check_rigid, inverse, known_poses, mean_pose
@@ -124,7 +124,7 @@ def adjust_target_poses(
     _check_target_poses(T_cam_target, eye, eyes, kinematics, placement)
     measured_eyes, read = eye.ndim == 4, eye
     if not measured_eyes:
-        read = np.stack([T_base_eye(kinematics, side, eye) for side in EYES], axis=1)
+        read = np.stack([eye_pose(kinematics, side, eye) for side in EYES], axis=1)
     _check_not_stuck(T_cam_target, read, eyes)
     if start is None:
         start = _start(T_cam_target, read, placement, eyes, kinematics)

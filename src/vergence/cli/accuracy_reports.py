@@ -23,7 +23,7 @@ from vergence.accuracy.plan import Plan
 from vergence.cli.report import Report
 from vergence.files import REPORT, markdown_table, whole_file, write_whole
 from vergence.geometry.board import corner_points
-from vergence.geometry.head import T_head_base
+from vergence.geometry.head import base_pose
 from vergence.geometry.se3 import transform
 
 DESIGN_RESULTS = ("sweep.npz", "design.png", "properties.png", "design.json", REPORT)
@@ -35,7 +35,7 @@ FIRST_ORDER = 0.08
 def plan_report(found: Plan) -> Report:
     """Report a plan: a row for each view, and the accuracy that is predicted."""
     views, readings = found.views, found.head.kinematics.readings
-    T_head_target = T_head_base(found.head, "left") @ views.T_lbase_target
+    T_head_target = base_pose(found.head, "left") @ views.T_lbase_target
     centres = transform(T_head_target, corner_points(found.board).mean(axis=0))
     normals = -T_head_target[:, :3, 2]  # towards the head
     places = np.unique(views.placement, return_inverse=True)[1]

@@ -44,7 +44,7 @@ def self_calibration_report(found: SelfCalibrationResult) -> Report:
         "frames": found.frames,
         "seen": found.seen,
         "learned": found.learned,
-        "joint_std_deg": float(np.degrees(found.joint_std_rad)),
+        "joint_std_deg": float(np.degrees(found.reading_std)),
         "depth_std_m": found.depth_std_m,
         "observed_up_to": OBSERVED,
         "parameters": {

@@ -30,7 +30,7 @@ from vergence.self_calibration.dense_pairs import (
     depth_by,
 )
 from vergence.stereo.dense_depth import DenseDepth
-from vergence.stereo.extrinsics import T_rcam_lcam, stereo_cameras
+from vergence.stereo.extrinsics import relative_camera_pose, stereo_cameras
 from vergence.stereo.rectification import RectifiedPair, rectified_pixels, rectified_points
 from vergence.twin.calibration_sequence import straight_neck
 from vergence.twin.head import Twin
@@ -98,7 +98,7 @@ def _row_rms(pair: RectifiedPair, truth: DepthTruth) -> float:
     v, u = np.mgrid[: left.height : _GRID_PX, : left.width : _GRID_PX]
     pixels = np.stack([u, v], axis=-1).reshape(-1, 2).astype(float)
     points = unproject(left, pixels) * truth.depth_m[v, u].reshape(-1, 1)
-    T = T_rcam_lcam(truth.head, truth.eye_angles)
+    T = relative_camera_pose(truth.head, truth.eye_angles)
     opposite = project(right, transform(T, points))
     inside = ((opposite >= 0) & (opposite <= [right.width - 1, right.height - 1])).all(axis=-1)
     rows = [
@@ -136,14 +136,14 @@ def twin_depth(
     "seen" it looks around first. VergenceError if the calibration is of another head.
     """
     with Twin(experiment.profile, seed=experiment.seed, scene=experiment.scene) as twin:
-        joint_std_rad = None
+        reading_std = None
         if calibration is None:
             settings = calibrate_twin(twin, experiment.seed, progress)
-            calibration, joint_std_rad = settings.calibration, settings.joint_std_rad
+            calibration, reading_std = settings.calibration, settings.reading_std
         else:
             check_calibration_of(twin.truth, calibration)
         errors: dict[str, list[PairErrors]] = defaultdict(list)
-        found = _pairs(twin, calibration, pairs, experiment.geometry, joint_std_rad, errors)
+        found = _pairs(twin, calibration, pairs, experiment.geometry, reading_std, errors)
         yield DepthSequence(
             calibration,
             found,
@@ -157,7 +157,7 @@ def _pairs(
     head: HeadCalibration,
     pairs: int,
     geometry: Geometry,
-    joint_std_rad: float | None,
+    reading_std: float | None,
     errors: dict[str, list[PairErrors]],
 ) -> Iterator[tuple[StereoImages, PairDepth]]:
     """Yield pairs with their depths, and append their errors by geometry."""
@@ -174,7 +174,7 @@ def _pairs(
         visual = None if visual is None else update_geometry(visual, frame)
         images = StereoImages(STEP_S * k, frame.images[left], frame.images[right])
         truth = DepthTruth(twin.truth, angles, twin.true_depth(left))
-        found = depth_by(images, head, frame.eye_angles, joint_std_rad=joint_std_rad)
+        found = depth_by(images, head, frame.eye_angles, reading_std=reading_std)
         errors["joints"].append(depth_errors(*found, truth))
         true = depth_by(images, truth.head, truth.eye_angles)
         errors["true_geometry"].append(depth_errors(*true, truth))

@@ -16,7 +16,7 @@ from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.gaze.commands import EYE_READINGS
 from vergence.gaze.state import GazeSettings, GazeState
-from vergence.geometry.head import T_body_base, T_head_base
+from vergence.geometry.head import base_pose, base_pose_in_body
 from vergence.geometry.se3 import inverse, transform
 from vergence.stereo.uncertainty import depth_error, disparity_error
 from vergence.twin.head import Twin
@@ -75,10 +75,10 @@ def depth_sample(
     left, right = found
     if state.measured is None or state.frame_s != frame.time_s or left is None or right is None:
         return None
-    truth, middle = twin.true_object(), inverse(T_head_base(twin.truth, "left"))[:3, 3]
+    truth, middle = twin.true_object(), inverse(base_pose(twin.truth, "left"))[:3, 3]
     away = truth - middle
     distance = float(np.linalg.norm(away))
-    T_lbase_body = inverse(T_body_base(settings.calibration, "left", frame.neck_angles))
+    T_lbase_body = inverse(base_pose_in_body(settings.calibration, "left", frame.neck_angles))
     error = transform(T_lbase_body, state.measured) - truth
     left_px, right_px = np.array([left.pixel, right.pixel]) - true_pixels(twin, settings)
     reading_errors = frame.eye_angles - twin.true_angles()[EYE_READINGS]

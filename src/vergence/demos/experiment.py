@@ -16,7 +16,7 @@ from vergence.errors import VergenceError, check_seed
 from vergence.files import results_folder, write_json
 from vergence.gaze.commands import EYE_READINGS
 from vergence.gaze.state import GazeSettings, GazeState
-from vergence.geometry.head import T_body_base
+from vergence.geometry.head import base_pose_in_body
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
 from vergence.progress import Progress
@@ -156,7 +156,7 @@ def _watch(rec: Recording, twin: Twin, settings: GazeSettings) -> Watch:
         if frame.time_s < latest_s:  # the next run
             began_s += latest_s + FRAME_S
         latest_s = frame.time_s
-        T_body_lbase = T_body_base(head, "left", frame.neck_angles)
+        T_body_lbase = base_pose_in_body(head, "left", frame.neck_angles)
         if not count:
             log_gaze_styles(rec, twin.T_world_lbase() @ inverse(T_body_lbase))
             if state.geometry is not None:

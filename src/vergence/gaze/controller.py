@@ -45,7 +45,7 @@ from vergence.gaze.observation import (
     update_track,
 )
 from vergence.gaze.state import GazePhase, GazeSettings, GazeState
-from vergence.geometry.head import T_body_base
+from vergence.geometry.head import base_pose_in_body
 from vergence.geometry.kinematics import eye_turn, readings_to_turn
 from vergence.geometry.neck import NECK_JOINTS
 from vergence.geometry.se3 import inverse, transform
@@ -123,7 +123,7 @@ def step_gaze(
 
 def _in_left_base(settings: GazeSettings, points_body: Array, neck: Array) -> Array:
     """Map points (..., 3) [m] from frame body into the left eye's base at neck angles (..., 3)."""
-    return transform(inverse(T_body_base(settings.calibration, "left", neck)), points_body)
+    return transform(inverse(base_pose_in_body(settings.calibration, "left", neck)), points_body)
 
 
 def _follow(

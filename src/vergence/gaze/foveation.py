@@ -1,9 +1,9 @@
 """Foveation (Sec. III, Eqs. 18-19), and the readings at which the eyes fixate points.
 
 The paper's foveal camera is `narrow` here, its peripheral one `wide`, and R_fp, t_fp are
-`head.T_narrow_wide`, the pose of the wide camera in the narrow one. The paper subtracts principal
-points and omits distortion; pixels here include both. The formulas use the inverse depth, so that
-an infinite depth needs no special case. See docs/equations.md and docs/conventions.md.
+`head.wide_pose_in_narrow`, the pose of the wide camera in the narrow one. The paper subtracts
+principal points and omits distortion; pixels here include both. The formulas use the inverse depth,
+so that an infinite depth needs no special case. See docs/equations.md and docs/conventions.md.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from vergence.errors import VergenceError
 from vergence.gaze.state import EyeCameras, default_roles
 from vergence.geometry.camera import pinhole, project, unproject
 from vergence.geometry.eye_motion import eye_motion
-from vergence.geometry.head import HeadCalibration, MountedCamera, T_narrow_wide
+from vergence.geometry.head import HeadCalibration, MountedCamera, wide_pose_in_narrow
 from vergence.geometry.kinematics import (
     Kinematics,
     Side,
@@ -71,7 +71,7 @@ def foveal_miss(
     wide, narrow = (calibration.camera(f"{eye}_{lens}").intrinsics for lens in ("wide", "narrow"))
     ray = unproject(wide, ideal_wide_pixel(calibration, eye, believed_m))
     depth = np.broadcast_to(np.asarray(depth_m, dtype=float), ray.shape[:-1])[..., None]
-    T = T_narrow_wide(calibration, eye)
+    T = wide_pose_in_narrow(calibration, eye)
     seen = project(narrow, ray @ T[:3, :3].T + T[:3, 3] / depth)  # scaled by 1 / depth
     return seen - narrow.matrix[:2, 2]
 
@@ -145,7 +145,7 @@ def _centre(calibration: HeadCalibration, targets: Mapping[str, Array], used: li
         chain = kinematics.chains[cameras[name].eye]
         turns.append(turn - chain.offset_rad @ chain.axes)
         maps.append(turn_by_readings(chain)[:, used])
-    factors = kinematics.factors[used]  # steps are those of joints, also before a gear
+    factors = kinematics.gear_ratios[used]  # steps are those of joints, also before a gear
     readings = np.zeros((*usable.shape, len(kinematics.readings)))
     readings[..., used] = least_readings(np.concatenate(maps), np.concatenate(turns, axis=-1))
     # Eyes that share a joint cannot both be centred: 0.1 of x/z and y/z is the most to accept.

@@ -15,7 +15,7 @@ from vergence.gaze.commands import EYE_READINGS, HOLD_S, NECK, setpoints_at
 from vergence.gaze.kalman import InnovationRatio, Track, begin, fuse, predict, update_ratio
 from vergence.gaze.state import GazeSettings, GazeState
 from vergence.geometry.camera import Camera, check_image_fits, unproject
-from vergence.geometry.head import T_base_cam, T_body_base, without_accuracy
+from vergence.geometry.head import base_pose_in_body, camera_pose_in_base, without_accuracy
 from vergence.geometry.kinematics import EYES, Side, checked_readings
 from vergence.geometry.neck import checked_neck_angles
 from vergence.geometry.se3 import inverse, transform
@@ -188,7 +188,7 @@ def object_rays(settings: GazeSettings, state: GazeState, posture: Array) -> Ray
         if view is not None:
             name, found = view
             ray = unproject(settings.calibration.camera(name).intrinsics, found.pixel)
-            T = T_base_cam(settings.calibration, name, posture[EYE_READINGS])
+            T = camera_pose_in_base(settings.calibration, name, posture[EYE_READINGS])
             rays[eye] = T[:3, 3], T[:3, :3] @ ray
     return rays
 
@@ -240,7 +240,7 @@ def update_track(settings: GazeSettings, state: GazeState, frame: Frame | None) 
             cameras=(cameras[0], cameras[1]),
         )
         if np.isfinite(where.covariance).all():
-            T = T_body_base(seen.head, "left", readings)
+            T = base_pose_in_body(seen.head, "left", readings)
             covariance = T[:3, :3] @ where.covariance[0] @ T[:3, :3].T
             measurement = transform(T, where.xyz[0]), covariance
         break
@@ -280,19 +280,19 @@ def _locate(
     if left is None or right is None:
         return None, None
     readings = postures[:, EYE_READINGS]
-    joint_stds = [[settings.joint_std_rad], [settings.command_std_rad]]
+    joint_stds = [[settings.reading_std], [settings.command_std_rad]]
     located = locate(
         without_accuracy(settings.calibration),
         left=np.tile(left[1].pixel, (2, 1)),
         right=np.tile(right[1].pixel, (2, 1)),
         joints=readings,
         pixel_std_px=np.repeat([left[1].std_px, right[1].std_px], 2),
-        joint_std_rad=np.repeat(joint_stds, readings.shape[1], axis=1),
+        reading_std=np.repeat(joint_stds, readings.shape[1], axis=1),
         cameras=(left[0], right[0]),
     )
     if not np.isfinite(located.covariance).all():
         return None, None
-    T = T_body_base(settings.calibration, "left", postures)
+    T = base_pose_in_body(settings.calibration, "left", postures)
     R = T[:, :3, :3]
     points, covariances = transform(T, located.xyz), R @ located.covariance @ np.swapaxes(R, 1, 2)
     return (points[0], covariances[0]), (points[1], covariances[1])
@@ -310,7 +310,7 @@ def aim_at_assumed_depth(
     if state.measured is not None or state.by_joints is not None:
         return state
     eye, (centre, ray) = next(iter(rays.items()))
-    T_body_eye = T_body_base(settings.calibration, eye, posture)
+    T_body_eye = base_pose_in_body(settings.calibration, eye, posture)
     ray = ray / np.linalg.norm(ray)
     depth_m = settings.initial_depth_m
     point = transform(T_body_eye, centre + depth_m * ray)

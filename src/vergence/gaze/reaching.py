@@ -28,7 +28,7 @@ from vergence.gaze.hand import HandCommand, HandDriver, HandReading, append_read
 from vergence.gaze.kalman import MotionModel, Track, fuse, predict
 from vergence.gaze.observation import detect, posture_at_image, update_track
 from vergence.gaze.state import GazePhase, GazeSettings, GazeState, initial_gaze_state
-from vergence.geometry.head import T_body_base, without_accuracy
+from vergence.geometry.head import base_pose_in_body, without_accuracy
 from vergence.geometry.se3 import transform
 from vergence.self_calibration.calibrator import VisualGeometry
 from vergence.stereo.uncertainty import combination
@@ -273,12 +273,12 @@ def _measure_target(settings: ReachSettings, state: ReachState, frame: Frame) ->
             right=pixels[:, 1],
             joints=posture[EYE_READINGS],
             pixel_std_px=np.repeat(stds, 2),
-            joint_std_rad=settings.gaze.command_std_rad,
+            reading_std=settings.gaze.command_std_rad,
             cameras=(cameras[0], cameras[1]),
         )
         if not np.isfinite(covariance).all():
             return state
-        T = T_body_base(calibration, "left", posture)
+        T = base_pose_in_body(calibration, "left", posture)
         difference = T[:3, :3] @ difference
         marker = transform(hand_at(state.readings, frame.time_s), settings.marker_hand)
         covariance = T[:3, :3] @ covariance @ T[:3, :3].T

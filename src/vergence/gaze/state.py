@@ -79,7 +79,7 @@ class GazeSettings:
     limits: JointLimits = field(default_factory=JointLimits)
     use_neck: bool = False
     """Whether the neck takes part in gaze shifts."""
-    joint_std_rad: float = 1e-3
+    reading_std: float = 1e-3
     """Standard deviation of a joint reading, with all errors that the eyes do not share."""
     servo_lag_s: float = 0.0
     """Time constant with which joints follow their set points; below 3 ms, 0 is good enough."""

@@ -180,7 +180,7 @@ def project_jacobians(
 
 
 @ignoring_invalid  # infinity times zero
-def in_reach(camera: Camera, x: Array, y: Array, z: Array) -> np.ndarray:
+def in_valid_field(camera: Camera, x: Array, y: Array, z: Array) -> np.ndarray:
     """Check whether points (x, y, z) in frame cam are in front of a camera and before its reach.
 
     Beyond it a lens model folds over, and shows what no camera would see; see `lens.reach`.

@@ -19,12 +19,12 @@ from vergence.geometry.kinematics import (
     EYES,
     Kinematics,
     Side,
-    T_base_eye,
     check_turns,
     checked_readings,
+    eye_pose,
 )
 from vergence.geometry.parameters import camera_columns
-from vergence.geometry.projection import T_lbase_cam
+from vergence.geometry.projection import camera_pose
 from vergence.geometry.se3 import POSE, check_rigid, cross, hat, inverse
 
 
@@ -126,7 +126,7 @@ def eye_poses(head: HeadCalibration, joints: ArrayLike) -> Array:
     if measured(joints):
         poses = batch_last(np.asarray(joints, dtype=float), 3)
         return batch_first(np.ascontiguousarray(poses), 3)
-    both = [T_base_eye(head.kinematics, eye, joints) for eye in EYES]
+    both = [eye_pose(head.kinematics, eye, joints) for eye in EYES]
     return batch_first(np.stack([batch_last(T, 2) for T in both]), 3)
 
 
@@ -201,7 +201,7 @@ def camera_motion(head: HeadCalibration, camera: str, joints: Array) -> CameraMo
     # The first columns of a camera are those of its lens.
     moving = camera_columns(head, camera)[-2 * len(POSE) - errors :]
     by_parameters[:, moving] = np.concatenate([mounting, of_base, of_eye[:, :errors]], axis=1)
-    T = T_lbase_cam(mounted, head.T_rbase_lbase, T_base_eye)
+    T = camera_pose(mounted, head.T_rbase_lbase, T_base_eye)
     return CameraMotion(T, by_parameters, of_eye[:, errors:])
 
 

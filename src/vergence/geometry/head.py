@@ -26,11 +26,11 @@ from vergence.geometry.kinematics import (
     EYES,
     Kinematics,
     Side,
-    T_base_eye,
+    eye_pose,
     joint_names,
     reading_kinds,
 )
-from vergence.geometry.neck import Neck, T_body_head, chain_angles
+from vergence.geometry.neck import Neck, chain_angles, head_pose
 from vergence.geometry.se3 import POSE, inverse, pose
 
 R_EYE_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -234,29 +234,29 @@ def pair_names(head: HeadCalibration, cameras: tuple[str, str] | None = None) ->
     return names[0], names[1]
 
 
-def T_head_base(head: HeadCalibration, eye: Side) -> Array:
+def base_pose(head: HeadCalibration, eye: Side) -> Array:
     """Compute the pose (4, 4) of an eye's base frame in frame head."""
     T_lbase_rbase = inverse(head.T_rbase_lbase)
     T_head_lbase = pose(t=-T_lbase_rbase[:3, 3] / 2)
     return T_head_lbase if eye == "left" else T_head_lbase @ T_lbase_rbase
 
 
-def T_base_cam(head: HeadCalibration, camera: str, joints: Array) -> Array:
+def camera_pose_in_base(head: HeadCalibration, camera: str, joints: Array) -> Array:
     """Compute poses (..., 4, 4) of a camera in its eye's base, at readings (..., r) of the head."""
     mounted = head.camera(camera)
-    return T_base_eye(head.kinematics, mounted.eye, joints) @ mounted.T_eye_cam
+    return eye_pose(head.kinematics, mounted.eye, joints) @ mounted.T_eye_cam
 
 
-def T_body_base(head: HeadCalibration, eye: Side, neck_angles: Array) -> Array:
+def base_pose_in_body(head: HeadCalibration, eye: Side, neck_angles: Array) -> Array:
     """Compute poses (..., 4, 4) of an eye's base frame in frame body: T_be(neck) of Eq. 12.
 
     The angles (..., 3) [rad] are those of a frame; `neck.chain_angles` has what else they may be,
     and its error.
     """
-    return T_body_head(head.neck, chain_angles(head.neck, neck_angles)) @ T_head_base(head, eye)
+    return head_pose(head.neck, chain_angles(head.neck, neck_angles)) @ base_pose(head, eye)
 
 
-def T_narrow_wide(head: HeadCalibration, eye: Side) -> Array:
+def wide_pose_in_narrow(head: HeadCalibration, eye: Side) -> Array:
     """Compute the pose (4, 4) of the wide camera in the narrow one: R_fp, t_fp of Sec. III."""
     wide, narrow = (head.camera(f"{eye}_{lens}") for lens in ("wide", "narrow"))
     return inverse(narrow.T_eye_cam) @ wide.T_eye_cam

@@ -94,7 +94,7 @@ class Kinematics:
         return {eye: joint_parameters(self.eyes[eye]) for eye in EYES}
 
     @cached_property
-    def factors(self) -> Array:
+    def gear_ratios(self) -> Array:
         """(r,) ratio of the gear behind each reading: the largest of its factors, without gains."""
         joints = [joint for eye in EYES for joint in self.eyes[eye]]
         turns = [[abs(joint.readings.get(name, 0.0)) for joint in joints] for name in self.readings]
@@ -169,7 +169,7 @@ def reading_kinds(kinematics: Kinematics) -> list[int]:
 
 def _alike(kinematics: Kinematics, left: int, right: int) -> bool:
     """Check whether readings of the left and of the right eye turn joints of one make."""
-    factors, axes = kinematics.factors[[left, right]], []
+    factors, axes = kinematics.gear_ratios[[left, right]], []
     for eye, reading in zip(EYES, (left, right), strict=True):
         chain = kinematics.chains[eye]
         axes.append(chain.axes[np.abs(chain.mixing[:, reading]).argmax()])
@@ -273,7 +273,7 @@ def check_radians(angles: Array, what: str) -> None:
         )
 
 
-def T_base_eye(kinematics: Kinematics, eye: Side, readings: ArrayLike) -> Array:
+def eye_pose(kinematics: Kinematics, eye: Side, readings: ArrayLike) -> Array:
     """Compute the pose (..., 4, 4) of an eye in its fixed base: T_er(theta) of the paper.
 
     Readings are (..., r) [rad], all those of the head; VergenceError if they are not as many.

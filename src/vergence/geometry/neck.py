@@ -95,7 +95,7 @@ def check_named(neck: Neck) -> None:
         )
 
 
-def T_body_head(neck: Neck, angles: Array) -> Array:
+def head_pose(neck: Neck, angles: Array) -> Array:
     """Compute the pose (..., 4, 4) of the head in frame body at neck angles (..., n) [rad]."""
     n = len(neck.axes)
     return chain_pose(Chain(neck.axes, neck.points_m, neck.head_m, np.eye(n), np.zeros(n)), angles)

@@ -19,9 +19,9 @@ from vergence.geometry.batches import (
     times,
     times_transposed,
 )
-from vergence.geometry.camera import in_reach, project, project_jacobians
+from vergence.geometry.camera import in_valid_field, project, project_jacobians
 from vergence.geometry.head import HeadCalibration, MountedCamera
-from vergence.geometry.kinematics import Side, T_base_eye, check_turns
+from vergence.geometry.kinematics import Side, check_turns, eye_pose
 from vergence.geometry.se3 import checked_points, cross, inverse
 
 
@@ -44,11 +44,11 @@ def project_point(head: HeadCalibration, camera: str, joints: Array, points: Arr
             not in radians, or the shapes do not fit.
     """
     mounted = head.camera(camera)
-    T = T_base_eye(head.kinematics, mounted.eye, joints)
+    T = eye_pose(head.kinematics, mounted.eye, joints)
     check_turns(head.kinematics, np.asarray(joints, dtype=float))
     points = checked_points(points, T.shape[:-2])
     *_, in_camera = _way(mounted, head.T_rbase_lbase, T, points)
-    shown = in_reach(mounted.intrinsics, *batch_last(in_camera))
+    shown = in_valid_field(mounted.intrinsics, *batch_last(in_camera))
     return np.where(shown[..., None], project(mounted.intrinsics, in_camera), np.nan)
 
 
@@ -157,11 +157,11 @@ def by_pose_of_points(by_point: Array, turned: Array) -> Array:
     return found
 
 
-def T_lbase_cam(mounted: MountedCamera, T_rbase_lbase: Array, T_base_eye: Array) -> Array:
+def camera_pose(mounted: MountedCamera, T_rbase_lbase: Array, T_base_eye: Array) -> Array:
     """Compute poses (..., 4, 4) of a camera in the left eye's base, at those of its eye."""
-    return product(T_lbase_eye(mounted.eye, T_rbase_lbase, T_base_eye), mounted.T_eye_cam)
+    return product(eye_pose_in_left_base(mounted.eye, T_rbase_lbase, T_base_eye), mounted.T_eye_cam)
 
 
-def T_lbase_eye(eye: Side, T_rbase_lbase: Array, T_base_eye: Array) -> Array:
+def eye_pose_in_left_base(eye: Side, T_rbase_lbase: Array, T_base_eye: Array) -> Array:
     """Compute poses (..., 4, 4) of an eye in the left eye's base, at those in its own base."""
     return T_base_eye if eye == "left" else product(inverse(T_rbase_lbase), T_base_eye)

@@ -19,8 +19,8 @@ from vergence.errors import VergenceError, counted, explain
 from vergence.geometry.camera import Camera
 from vergence.geometry.head import (
     HeadCalibration,
-    T_base_cam,
-    T_head_base,
+    base_pose,
+    camera_pose_in_base,
     cameras_of,
     main_camera,
 )
@@ -75,7 +75,7 @@ def save(head: HeadCalibration, path: Path) -> None:
     T_head_previous = np.eye(4)
     for k, (name, mounted) in enumerate(head.cameras.items()):
         straight = straight_gaze(head.kinematics)
-        T_head_cam = T_head_base(head, mounted.eye) @ T_base_cam(head, name, straight)
+        T_head_cam = base_pose(head, mounted.eye) @ camera_pose_in_base(head, name, straight)
         camera = mounted.intrinsics
         step = {"T_cn_cnm1": (inverse(T_head_cam) @ T_head_previous).tolist()} if k else {}
         content[f"cam{k}"] = step | {

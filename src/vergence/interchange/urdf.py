@@ -21,7 +21,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.files import write_whole
-from vergence.geometry.head import R_EYE_CAM, HeadCalibration, T_head_base
+from vergence.geometry.head import R_EYE_CAM, HeadCalibration, base_pose
 from vergence.geometry.kinematics import EYES, Kinematics, Side
 from vergence.geometry.se3 import inverse, pose
 from vergence.interchange.serialization import check_names
@@ -59,7 +59,7 @@ def save(head: HeadCalibration, path: Path) -> None:
         if not cameras:
             continue
         base, link = f"{eye}_base", f"{eye}_eye"
-        _add_joint(robot, f"{base}_joint", "head", base, T_head_base(head, eye))
+        _add_joint(robot, f"{base}_joint", "head", base, base_pose(head, eye))
         if floating:
             _add_joint(robot, f"{link}_joint", base, link, np.eye(4), kind="floating")
         else:

@@ -20,7 +20,7 @@ from vergence.geometry.kinematics import EYES, straight_gaze
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import pose, rotation
 from vergence.paper.figures import FIGURES, Figure
-from vergence.stereo.extrinsics import T_rcam_lcam, rebase
+from vergence.stereo.extrinsics import rebase, relative_camera_pose
 from vergence.stereo.triangulation import Status
 from vergence.stereo.uncertainty import locate
 from vergence.twin.profile import Lens
@@ -94,7 +94,9 @@ def believed_head(truth: HeadCalibration, lens: Lens, errors: Errors) -> HeadCal
             T_eye_cam=mounted.T_eye_cam @ pose(turn, shift),
         )
     straight = straight_gaze(truth.kinematics)
-    return rebase(replace(truth, cameras=cameras), T_rcam_lcam(truth, straight), joints=straight)
+    return rebase(
+        replace(truth, cameras=cameras), relative_camera_pose(truth, straight), joints=straight
+    )
 
 
 def spread_mm(
@@ -109,7 +111,7 @@ def spread_mm(
         believed,
         **seen,
         pixel_std_px=errors.pixel_noise_um / PIXEL_UM,
-        joint_std_rad=np.radians(errors.joint_noise_deg),
+        reading_std=np.radians(errors.joint_noise_deg),
     )
     if (found.status != Status.OK).any():
         return np.full(3, np.nan)

@@ -88,7 +88,7 @@ def update_geometry(
             )
     left, right = (frame.images[name] for name in cameras)
     neck, key = checked_neck_angles(frame.neck_angles), geometry.keyframe_neck
-    limit = 3 * geometry.state.joint_std_rad  # then not only the eyes have moved
+    limit = 3 * geometry.state.reading_std  # then not only the eyes have moved
     if key is None or np.abs(neck - key).max() > limit:
         geometry = replace(geometry, state=replace(geometry.state, keyframe=None))
     geometry = predict_geometry(geometry, frame.time_s)
@@ -113,7 +113,7 @@ def update_with_estimate(
     if time_s is None or geometry.updated_s is None or geometry.updated_at is None:
         return VisualGeometry(state, estimate, time_s, time_s, readings, neck)
     elapsed_s = time_s - geometry.updated_s
-    moved = np.abs(state.head.kinematics.factors * (readings - geometry.updated_at)).max()
+    moved = np.abs(state.head.kinematics.gear_ratios * (readings - geometry.updated_at)).max()
     at_rest, close = moved < MOVED_RAD, 0 < round(elapsed_s, 6) < UPDATE_S
     if at_rest or close or estimate.evidence is None:
         return replace(geometry, state=state, latest=estimate)

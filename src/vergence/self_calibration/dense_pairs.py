@@ -110,7 +110,7 @@ def depth_by(
     head: HeadCalibration,
     joints: Array,
     *,
-    joint_std_rad: float | None = None,
+    reading_std: float | None = None,
     seen: FrameEstimate | None = None,
 ) -> PairDepth:
     """Compute the depth of a pair by a head and joints, or by what both eyes see of these.
@@ -122,7 +122,7 @@ def depth_by(
         head, joints = seen.head, seen.joints
         located = partial(locate_in_frame, seen, pixel_std_px=0.0)
     pair, images = rectify(head, joints), (moment.left, moment.right)
-    found = dense_depth(pair, *images, joint_std_rad=joint_std_rad, located=located)
+    found = dense_depth(pair, *images, reading_std=reading_std, located=located)
     return pair, found
 
 
@@ -167,7 +167,7 @@ def row_noise_rad(pair: RectifiedPair) -> float:
     """
     if measured(pair.joints):
         return JOINT_STD_RAD
-    head, factors = pair.head, pair.head.kinematics.factors
+    head, factors = pair.head, pair.head.kinematics.gear_ratios
     stds = reading_stds(head)
     stds = stds if stds.any() else JOINT_STD_RAD / factors
     along = pair.T_lbase_rect[:3, 0]

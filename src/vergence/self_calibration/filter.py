@@ -178,7 +178,7 @@ def _relinearise(records: tuple[FrameRecord, ...], after: FilterState) -> Filter
     the joints as estimated again.
     """
     before = records[0].state
-    start = replace(records[0], state=replace(before, joint_std_rad=after.joint_std_rad))
+    start = replace(records[0], state=replace(before, reading_std=after.reading_std))
     again, likelihood = _filter_again((start, *records[1:]), at=after.head)
     if not np.isfinite(likelihood):
         return after

@@ -29,7 +29,7 @@ from vergence.self_calibration.robust_fit import (
     robust_fit,
 )
 from vergence.self_calibration.state import Evidence, FilterState, FrameEstimate, frame_covariance
-from vergence.stereo.extrinsics import T_rcam_lcam
+from vergence.stereo.extrinsics import relative_camera_pose
 from vergence.stereo.uncertainty import LocatedPoints, locate_jointly
 from vergence.vision.exposure import checked_image, grey_levels
 from vergence.vision.matching.scene_features import Matches, match_scene
@@ -75,7 +75,7 @@ def estimate_frame(
         right,
         left_camera=lenses[0],
         right_camera=lenses[1],
-        T_rcam_lcam=T_rcam_lcam(state.head, joints, cameras=state.cameras),
+        T_rcam_lcam=relative_camera_pose(state.head, joints, cameras=state.cameras),
     )
     return estimate_from_matches(state, matches, joints, images=(left, right))
 
@@ -121,7 +121,7 @@ def estimate_from_matches(
             )
     if evidence.inliers < max(FEWEST, _LEAST_SHARE * N):
         return replace(prior, weights=weights)
-    posture = state.head.kinematics.factors * prior.joints
+    posture = state.head.kinematics.gear_ratios * prior.joints
     prior = replace(
         prior,
         weights=weights,
@@ -147,7 +147,7 @@ def _fit(
     """Fit the matches with a prior covariance (K, K); see `robust_fit`."""
 
     P, matches = len(state.names), prior.matches
-    limits = np.append(np.full(P, np.inf), LINEAR_RAD / np.abs(state.head.kinematics.factors))
+    limits = np.append(np.full(P, np.inf), LINEAR_RAD / np.abs(state.head.kinematics.gear_ratios))
 
     def linearise(change: Array, rows: np.ndarray) -> LinearisedResiduals:
         those = Matches(matches.left[rows], matches.right[rows], matches.covariance[rows])

@@ -95,13 +95,13 @@ def kalman_update(
         covariance=C[:P, :P],
         revisits=update_revisits(
             state.revisits,
-            state.head.kinematics.factors * estimate.readings,
+            state.head.kinematics.gear_ratios * estimate.readings,
             novelty=estimate.novelty,
             systematic=evidence.systematic,
         ),
         match_scale=state.match_scale * (1 + PACE * (evidence.match_scale - 1)),
         design_effect=(1 - PACE) * state.design_effect + PACE * evidence.design_effect,
-        joint_std_rad=float(np.sqrt(variance)),
+        reading_std=float(np.sqrt(variance)),
         joint_weight=weight,
         frames=state.frames + 1,
         keyframe=next_keyframe(state, estimate, head=head, change=change, C=C),
@@ -122,7 +122,7 @@ def _reading_variance(state: FilterState, N: Array, b: Array) -> tuple[float, fl
     determined = values > 1e-9 * values[-1]
     noise = 1 / values[determined]
     samples = (directions[:, determined].T @ h * noise) ** 2 - noise
-    expected = state.joint_std_rad**2
+    expected = state.reading_std**2
     weights = (expected / (expected + noise)) ** 2
     weight = state.joint_weight + float(weights.sum())
     variance = (state.joint_weight * expected + float(weights @ samples)) / weight

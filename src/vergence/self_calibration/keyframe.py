@@ -40,7 +40,7 @@ from vergence.self_calibration.state import (
     TrackedFeatures,
     frame_covariance,
 )
-from vergence.stereo.extrinsics import T_rcam_lcam, camera_poses
+from vergence.stereo.extrinsics import camera_poses, relative_camera_pose
 from vergence.vision.matching.scene_features import track_features
 
 TURNED_RAD = float(np.radians(8.0))
@@ -111,7 +111,7 @@ def next_keyframe(
     fits = fits[np.linspace(0, len(fits), min(len(fits), _FEATURES), endpoint=False, dtype=int)]
     left, right = estimate.matches.left[fits], estimate.matches.right[fits]
     lenses = [head.camera(name).intrinsics for name in state.cameras]
-    T = T_rcam_lcam(head, joints, cameras=state.cameras)
+    T = relative_camera_pose(head, joints, cameras=state.cameras)
     images = estimate.images
     return Keyframe(
         readings=estimate.readings,
@@ -126,7 +126,7 @@ def next_keyframe(
 
 
 def _turned_rad(key: Keyframe, estimate: FrameEstimate) -> float:
-    factors = estimate.head.kinematics.factors
+    factors = estimate.head.kinematics.gear_ratios
     return float(np.abs(factors * (estimate.readings - key.readings)).max())
 
 

@@ -157,7 +157,7 @@ def initial_state(
         unknown = replace(accuracy, parameters=(), covariance=np.empty((0, 0)), lenses={})
         head = replace(head, accuracy=unknown)
     names = estimated_names(head, pair)
-    factors = head.kinematics.factors
+    factors = head.kinematics.gear_ratios
     stds = reading_stds(head) * factors
     if not stds.any():
         stds = np.full(len(factors), JOINT_STD_RAD)
@@ -178,7 +178,7 @@ def initial_state(
         covariance=C,
         prior_head=head,
         prior_covariance=C,
-        joint_std_rad=rms,
+        reading_std=rms,
         noise_ratios=stds / rms / factors,
         systematic_px=(systematic.get(pair[0], 0.0), systematic.get(pair[1], 0.0)),
     )

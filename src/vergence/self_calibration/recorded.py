@@ -71,7 +71,7 @@ class SelfCalibrationResult:
     depth_std_m: tuple[float, float] | None
     """Standard deviation of the depth of a point 1 m straight ahead due to the calibration, before
     and after; None: the point is not in front of both cameras."""
-    joint_std_rad: float
+    reading_std: float
     """Noise of the readings times their gear factors: estimated, or assumed if nothing was
     learned."""
     changed: Changed
@@ -84,7 +84,7 @@ class SelfCalibrationResult:
         lines = [
             f"{counted(self.frames, 'frame')}: {self.seen} determined the relative pose of the "
             f"cameras, and {self.learned} updated the parameters; noise of the readings "
-            f"{np.degrees(self.joint_std_rad):.3f} degrees{source}."
+            f"{np.degrees(self.reading_std):.3f} degrees{source}."
         ]
         hidden = [each.name for each in self.parameters if each.verdict == "not observed"]
         if len(hidden) == len(self.parameters):
@@ -157,7 +157,7 @@ def self_calibrate(
     parameters = _learned_parameters(before, state)
     if not findings:
         findings += _unexpected_findings(parameters)
-    joints = both.joints[rows] * head.kinematics.factors
+    joints = both.joints[rows] * head.kinematics.gear_ratios
     moved = bool(np.abs(joints - joints[0]).max() >= MOVED_RAD)
     findings += _frame_findings(head, len(rows), seen)
     if not state.frames:
@@ -177,7 +177,7 @@ def self_calibrate(
         seen=seen,
         learned=state.frames,
         depth_std_m=_depth_stds(before, state),
-        joint_std_rad=state.joint_std_rad,
+        reading_std=state.reading_std,
         changed=changed,
         findings=by_severity(findings),
     )

@@ -37,10 +37,10 @@ class FilterState:
     """From which the filter started, or restarted after a change."""
     prior_covariance: Array
     """(P, P) at that start, with the process noise since then."""
-    joint_std_rad: float
+    reading_std: float
     """Noise of the readings times their gear factors, rms over the readings."""
     noise_ratios: Array
-    """(r,) standard deviation of each reading over `joint_std_rad`, as calibrated; constant."""
+    """(r,) standard deviation of each reading over `reading_std`, as calibrated; constant."""
     systematic_px: tuple[float, float] = (0.0, 0.0)
     """Systematic error of each lens, rms of one coordinate, from `Accuracy.systematic_px`."""
     match_scale: float = 1.3
@@ -52,7 +52,7 @@ class FilterState:
     revisits: RevisitCorrelation | None = None
     """Correlation of match errors with those of earlier frames; None before the first update."""
     joint_weight: float = 5.0
-    """Number of readings from which `joint_std_rad` was estimated; the prior counts for five."""
+    """Number of readings from which `reading_std` was estimated; the prior counts for five."""
     frames: int = 0
     """Number of updates."""
     time_s: float = 0.0
@@ -69,7 +69,7 @@ class FilterState:
     @property
     def reading_std_rad(self) -> Array:
         """(r,) noise of each reading."""
-        return self.joint_std_rad * self.noise_ratios
+        return self.reading_std * self.noise_ratios
 
 
 @dataclass(frozen=True, eq=False)

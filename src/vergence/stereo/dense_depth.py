@@ -72,7 +72,7 @@ def dense_depth(
     right: np.ndarray,
     *,
     nearest_m: float | None = None,
-    joint_std_rad: ArrayLike | None = None,
+    reading_std: ArrayLike | None = None,
     located: Callable[..., LocatedPoints] | None = None,
 ) -> DenseDepth:
     """Compute the depth of the pixels of a left image.
@@ -84,10 +84,10 @@ def dense_depth(
         right: of its right one.
         nearest_m: least depth that is sought; None: NEAREST_M, or that of a disparity of half the
             width if this is more.
-        joint_std_rad: noise of the readings, as in `uncertainty.locate`.
+        reading_std: noise of the readings, as in `uncertainty.locate`.
         located: a function that locates exact pixels, `left` and `right` (N, 2), such as
             `locate_seen` of a seen geometry: it says how well the geometry is known, in place of
-            the head's accuracy and joint_std_rad.
+            the head's accuracy and reading_std.
 
     Raises:
         VergenceError: the nearest depth is not positive, or its disparity exceeds the image; or an
@@ -118,14 +118,14 @@ def dense_depth(
     pixels = np.stack([u, v], axis=-1).astype(float)
     depth = rectified_points(pair, pixels, disparity)[..., 2]
     by_texture = _std_by_texture(grey[0])
-    if located is None and (states_noise(pair.head) or joint_std_rad is not None):
+    if located is None and (states_noise(pair.head) or reading_std is not None):
         located = partial(
             locate,
             pair.head,
             joints=pair.joints,
             cameras=pair.cameras,
             pixel_std_px=0.0,
-            joint_std_rad=joint_std_rad,
+            reading_std=reading_std,
         )
     by_geometry = _std_by_geometry(pair, disparity, located)
     std_px = np.sqrt(by_texture**2 + _std_by_slope(disparity) ** 2 + by_geometry**2)

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 from vergence.arrays import Array, floats
 from vergence.geometry.eye_motion import check_joints, eye_poses
 from vergence.geometry.head import HeadCalibration, MountedCamera, pair_names
-from vergence.geometry.kinematics import T_base_eye
-from vergence.geometry.projection import T_lbase_cam
+from vergence.geometry.kinematics import eye_pose
+from vergence.geometry.projection import camera_pose
 from vergence.geometry.se3 import inverse
 
 
@@ -39,7 +39,7 @@ def stereo_cameras(
     return head.camera(left), head.camera(right)
 
 
-def T_rcam_lcam(
+def relative_camera_pose(
     head: HeadCalibration, joints: ArrayLike, *, cameras: tuple[str, str] | None = None
 ) -> Array:
     """Compute Eq. 11 (..., 4, 4) at joint readings (..., r) [rad], or eye poses (..., 2, 4, 4).
@@ -69,7 +69,7 @@ def camera_poses(
     """
     pair, eyes = stereo_cameras(head, cameras), eye_poses(head, joints)
     both = [
-        T_lbase_cam(mounted, head.T_rbase_lbase, eyes[..., k, :, :])
+        camera_pose(mounted, head.T_rbase_lbase, eyes[..., k, :, :])
         for k, mounted in enumerate(pair)
     ]
     return np.stack(both, axis=-3)
@@ -89,10 +89,10 @@ def rebase(
     """
     left, right = stereo_cameras(head, cameras)
     T = base_extrinsics(
-        T_rbase_reye=T_base_eye(head.kinematics, "right", joints),
+        T_rbase_reye=eye_pose(head.kinematics, "right", joints),
         T_reye_rcam=right.T_eye_cam,
         T_rcam_lcam=T_rcam_lcam,
         T_leye_lcam=left.T_eye_cam,
-        T_lbase_leye=T_base_eye(head.kinematics, "left", joints),
+        T_lbase_leye=eye_pose(head.kinematics, "left", joints),
     )
     return replace(head, T_rbase_lbase=T)

@@ -20,7 +20,7 @@ from vergence.geometry.camera import (
     MAX_IMAGE_AREA_PX,
     MAX_IMAGE_PX,
     Camera,
-    in_reach,
+    in_valid_field,
     is_image_size,
     project,
     unproject,
@@ -179,7 +179,7 @@ def _map(
         rows = slice(top, top + _ROWS)
         u, v = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float)[rows])
         rays = times(R_cam_rays, vector(u, v, 1.0))
-        good = in_reach(camera, *batch_last(rays))[..., None]
+        good = in_valid_field(camera, *batch_last(rays))[..., None]
         pixels = np.where(good, project(camera, rays), _OUTSIDE)
         maps[:, rows] = batch_last(pixels.clip(_OUTSIDE, -_OUTSIDE))
     return maps[0], maps[1]

@@ -67,7 +67,7 @@ class SightingArguments(TypedDict, total=False):
     joints: Required[ArrayLike]
     cameras: tuple[str, str] | None
     pixel_std_px: ArrayLike | None
-    joint_std_rad: ArrayLike | None
+    reading_std: ArrayLike | None
 
 
 def sightings(
@@ -78,7 +78,7 @@ def sightings(
     joints: ArrayLike,
     cameras: tuple[str, str] | None = None,
     pixel_std_px: ArrayLike | None = None,
-    joint_std_rad: ArrayLike | None = None,
+    reading_std: ArrayLike | None = None,
 ) -> Sightings:
     """Check what points are located from; arguments and errors are those of `locate`.
 
@@ -103,25 +103,25 @@ def sightings(
     if pixel_std_px is None:
         pixel_std_px = pixel_stds(head, names)
     pixels = _deviations("pixel_std_px", pixel_std_px, n, 4)
-    readings = reading_deviations(head, joints, joint_std_rad, n)
+    readings = reading_deviations(head, joints, reading_std, n)
     return Sightings(head, names, left, right, joints, pixels, readings)
 
 
 def reading_deviations(
-    head: HeadCalibration, joints: Array, joint_std_rad: ArrayLike | None, n: int
+    head: HeadCalibration, joints: Array, reading_std: ArrayLike | None, n: int
 ) -> Array:
     """Check the noise (r,) or (n, r) of readings, or (12,) of two measured poses.
 
     Of poses it may be two numbers, of rotation [rad] and translation [m]; None: as stated.
     """
     count = 12 if measured(joints) else len(head.kinematics.readings)
-    if joint_std_rad is None:
+    if reading_std is None:
         levels = head.accuracy.joint_std if head.accuracy else ()
         poses = np.resize(levels or (0.0,), 2)
-        joint_std_rad = poses if measured(joints) else reading_stds(head)
-    if count == 12 and np.shape(joint_std_rad) == (2,):
-        joint_std_rad = np.tile(np.repeat(joint_std_rad, 3), 2)
-    return _deviations("joint_std_rad", joint_std_rad, n, count)
+        reading_std = poses if measured(joints) else reading_stds(head)
+    if count == 12 and np.shape(reading_std) == (2,):
+        reading_std = np.tile(np.repeat(reading_std, 3), 2)
+    return _deviations("reading_std", reading_std, n, count)
 
 
 def _deviations(name: str, std: ArrayLike, n: int, count: int) -> Array:

@@ -16,10 +16,10 @@ from vergence.errors import VergenceError, counted
 from vergence.geometry.batches import dot, ignoring_invalid, times, times_transposed
 from vergence.geometry.camera import Camera, normalise_jacobian
 from vergence.geometry.eye_motion import eye_poses
-from vergence.geometry.head import HeadCalibration, T_head_base
+from vergence.geometry.head import HeadCalibration, base_pose
 from vergence.geometry.kinematics import check_radians
-from vergence.geometry.neck import T_body_head
-from vergence.geometry.projection import T_lbase_cam
+from vergence.geometry.neck import head_pose
+from vergence.geometry.projection import camera_pose
 from vergence.geometry.se3 import checked_points, cross, transform
 from vergence.stereo.sightings import SightingArguments, Sightings, in_chunks, sightings
 
@@ -68,7 +68,7 @@ def intersect_rays(seen: Sightings, eyes: Sequence[Array]) -> tuple[Array, np.nd
     """
     pair = [seen.head.camera(name) for name in seen.cameras]
     poses = [
-        T_lbase_cam(mounted, seen.head.T_rbase_lbase, T)
+        camera_pose(mounted, seen.head.T_rbase_lbase, T)
         for mounted, T in zip(pair, eyes, strict=True)
     ]
     (R_left, centre), (R_right, other) = ((T[..., :3, :3], T[..., :3, 3]) for T in poses)
@@ -114,7 +114,7 @@ def _coplanar_rays(
 
 def in_head(head: HeadCalibration, points_lbase: Array) -> Array:
     """Map points (..., 3) [m] from the left eye's base frame into frame head."""
-    return transform(T_head_base(head, "left"), checked_points(points_lbase))
+    return transform(base_pose(head, "left"), checked_points(points_lbase))
 
 
 def in_body(head: HeadCalibration, points_lbase: Array, neck_angles: Array) -> Array:
@@ -135,4 +135,4 @@ def in_body(head: HeadCalibration, points_lbase: Array, neck_angles: Array) -> A
         )
     check_radians(angles, "Angles of the neck")
     points = checked_points(points_lbase, angles.shape[:-1])
-    return transform(T_body_head(head.neck, angles), transform(T_head_base(head, "left"), points))
+    return transform(head_pose(head.neck, angles), transform(base_pose(head, "left"), points))

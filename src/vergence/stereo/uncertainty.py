@@ -57,7 +57,7 @@ def locate(
     joints: Array,
     cameras: tuple[str, str] | None = None,
     pixel_std_px: ArrayLike | None = None,
-    joint_std_rad: ArrayLike | None = None,
+    reading_std: ArrayLike | None = None,
     joint_time_s: ArrayLike | None = None,
 ) -> LocatedPoints:
     """Locate points that both eyes see, with their covariances.
@@ -75,7 +75,7 @@ def locate(
         pixel_std_px: noise of (left u, left v, right u, right v), by which they are weighted; a
             number stands for all, and (4,) or (N, 4) are taken as they are. None: that of the
             corners of the calibration.
-        joint_std_rad: noise of each reading: a number, (r,) or (N, r); of measured poses the two
+        reading_std: noise of each reading: a number, (r,) or (N, r); of measured poses the two
             numbers of rotation [rad] and translation [m]. None: as the calibration found it.
         joint_time_s: (N,) time stamps of the readings of one motion, at most 0.2 s apart; each is
             then moved to the moment that its image shows, by the head's time offset, along a
@@ -95,10 +95,10 @@ def locate(
         joints=joints,
         cameras=cameras,
         pixel_std_px=pixel_std_px,
-        joint_std_rad=joint_std_rad,
+        reading_std=reading_std,
     )
     known, noisy = pair_covariance(head, seen.cameras), states_noise(head)
-    noisy = noisy or pixel_std_px is not None or joint_std_rad is not None
+    noisy = noisy or pixel_std_px is not None or reading_std is not None
 
     def find(seen: Sightings) -> tuple[Array, ...]:
         if not noisy:

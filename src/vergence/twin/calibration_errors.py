@@ -12,7 +12,7 @@ from vergence.geometry.head import WIDE, HeadCalibration, MountedCamera, pair_na
 from vergence.geometry.kinematics import straight_gaze
 from vergence.geometry.parameters import boxminus, is_gain
 from vergence.geometry.se3 import pose, rotation
-from vergence.stereo.extrinsics import T_rcam_lcam, rebase
+from vergence.stereo.extrinsics import rebase, relative_camera_pose
 from vergence.twin.profile import ByHand, ErrorProfile, Lens
 from vergence.twin.sensors import with_sensors
 
@@ -49,7 +49,7 @@ def inject_calibration_error(
             T_eye_cam=mounted.T_eye_cam @ pose(roll, [0, 0, by_hand.axial_mm * 1e-3]),
         )
     straight = straight_gaze(calibration.kinematics)
-    T = T_rcam_lcam(calibration, straight, cameras=WIDE)
+    T = relative_camera_pose(calibration, straight, cameras=WIDE)
     return rebase(replace(calibration, cameras=cameras), T, joints=straight, cameras=WIDE)
 
 
@@ -70,7 +70,7 @@ def profile_sources(
         ("backlash", np.radians(joints.backlash_deg) / 2),  # the sensor lags by half of it
     ):
         if std_rad:
-            sources.append(Source(name, joint_std_rad=std_rad / head.kinematics.factors))
+            sources.append(Source(name, reading_std=std_rad / head.kinematics.gear_ratios))
     estimated = head.accuracy.parameters if head.accuracy else ()
     larger = 1 / (1 + profile.calibration.square_percent / 100) - 1
     shift = zip("xyz", (larger * head.T_rbase_lbase[:3, 3]).tolist(), strict=True)

@@ -12,7 +12,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.gaze.commands import NECK
 from vergence.gaze.hand import HandCommand, HandReading, hand_goal
-from vergence.geometry.head import T_body_base
+from vergence.geometry.head import base_pose_in_body
 from vergence.geometry.se3 import inverse, pose, rotation, transform
 from vergence.twin.head import Twin
 
@@ -82,7 +82,7 @@ class SimulatedHand:
 
     def _T_lbase_arm(self) -> Array:
         neck = self._twin.true_angles()[NECK]
-        return inverse(T_body_base(self._twin.truth, "left", neck)) @ self._T_body_arm
+        return inverse(base_pose_in_body(self._twin.truth, "left", neck)) @ self._T_body_arm
 
     def true_point(self, by_encoders: Array) -> Array:
         """Map a point (3,) [m] by the encoders to where it truly is, in the left eye's base."""

@@ -23,8 +23,8 @@ from vergence.geometry.se3 import inverse, pose, transform
 from vergence.twin import renderer
 from vergence.twin.model import (
     CAMERAS,
-    T_world_body,
     as_built_head,
+    body_pose,
     compile_head,
     hinges,
     nominal_head,
@@ -128,7 +128,7 @@ class Twin:
         line, which is servoed at 1 kHz.
         """
         backlash = np.radians(self.profile.joints.backlash_deg)
-        width = backlash / np.append(np.ones(len(NECK_JOINTS)), self.truth.kinematics.factors)
+        width = backlash / np.append(np.ones(len(NECK_JOINTS)), self.truth.kinematics.gear_ratios)
         wanted_at = command if callable(command) else lambda _: command
         last: Array | None = None
         model, data, ctrl, driven = self.model, self._data, self._data.ctrl, self._actuators
@@ -212,7 +212,7 @@ class Twin:
 
     def T_world_lbase(self) -> Array:
         """Compute the pose (4, 4) of the left eye's base in the world."""
-        T_world_head = T_world_body(self._data, "head")
+        T_world_head = body_pose(self._data, "head")
         pan = self.model.body("left_pan")
         R = Rotation.from_quat(pan.quat, scalar_first=True).as_matrix()
         return T_world_head @ pose(R, pan.pos)
@@ -250,12 +250,12 @@ class Twin:
 
     def true_hand(self) -> Array:
         """Compute the pose (4, 4) of the hand in the left eye's base."""
-        return inverse(self.T_world_lbase()) @ T_world_body(self._data, "hand")
+        return inverse(self.T_world_lbase()) @ body_pose(self._data, "hand")
 
     def body_poses(self) -> dict[str, Array]:
         """Compute the world pose (4, 4) of every body at the last exposure, by name."""
         names = [self.model.body(b).name for b in range(self.model.nbody)]
-        return {name: T_world_body(self._seen, name) for name in names}
+        return {name: body_pose(self._seen, name) for name in names}
 
     def close(self) -> None:
         """Free OpenGL's resources."""

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera
-from vergence.geometry.head import HeadCalibration, MountedCamera, T_head_base, pair_names
+from vergence.geometry.head import HeadCalibration, MountedCamera, base_pose, pair_names
 from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import EYES, Kinematics, Side
 from vergence.geometry.neck import NECK_JOINTS, Neck
@@ -197,7 +197,7 @@ def compile_head(
     if furnish is not None:
         furnish(spec)
     for eye, names in hinges(head.kinematics).items():
-        T = T_head_base(head, eye)
+        T = base_pose(head, eye)
         chain = head.kinematics.chains[eye]
         # The first joint turns the one body, all others the other.
         base, outer = spec.body(f"{eye}_pan"), spec.body(f"{eye}_eye")
@@ -230,7 +230,7 @@ def compile_head(
     return spec.compile()
 
 
-def T_world_body(data: mujoco.MjData, name: str) -> Array:
+def body_pose(data: mujoco.MjData, name: str) -> Array:
     """Compute the pose (4, 4) of a body in the world."""
     body = data.body(name)
     return pose(body.xmat.reshape(3, 3), body.xpos)

@@ -172,8 +172,8 @@ def _verging(head: HeadCalibration, shots: list[Shot]) -> list[Shot]:
     for k, shot in enumerate(shots):
         readings = shot.eye_angles.copy()
         by = _VERGENCE_RAD * np.sin(2.4 * k + np.arange(max(len(left), len(right))))
-        readings[left] += by[: len(left)] / head.kinematics.factors[left]
-        readings[right] -= by[: len(right)] / head.kinematics.factors[right]
+        readings[left] += by[: len(left)] / head.kinematics.gear_ratios[left]
+        readings[right] -= by[: len(right)] / head.kinematics.gear_ratios[right]
         moved.append(replace(shot, eye_angles=readings))
     return moved
 
@@ -192,7 +192,7 @@ def _capture(
     for shot in carry_out(twin, shots, interval_s=0.1):  # each row has its own time stamp
         yield _frame(twin, shot, moving=False)
     if moving:
-        fixed, begin, factors = shots[-1], twin.time_s + 0.6, twin.nominal.kinematics.factors
+        fixed, begin, factors = shots[-1], twin.time_s + 0.6, twin.nominal.kinematics.gear_ratios
         twin.settle(straight_neck(_sweep(0.0, factors)))
         for k in range(moving):
             time_s = k / RATE_HZ

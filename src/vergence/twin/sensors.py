@@ -70,7 +70,7 @@ def gains_and_offsets(joints: Joints, kinematics: Kinematics) -> tuple[Array, Ar
     The angle is that of the motor; the profile states offsets of the joint behind the gear.
     """
     columns = sensor_columns(kinematics)
-    offset = np.radians(joints.offset_deg)[columns] / kinematics.factors
+    offset = np.radians(joints.offset_deg)[columns] / kinematics.gear_ratios
     return 1 + np.array(joints.gain_percent)[columns] / 100, offset
 
 
@@ -79,11 +79,11 @@ def read(
 ) -> Array:
     """Simulate readings (N, r) [rad] of angles (N, r) [rad] on the sensors' side."""
     kinematics = kinematics or Kinematics()
-    noise = rng.normal(0.0, np.radians(joints.noise_deg), sensed.shape) / kinematics.factors
+    noise = rng.normal(0.0, np.radians(joints.noise_deg), sensed.shape) / kinematics.gear_ratios
     gain, offset = gains_and_offsets(joints, kinematics)
     reading = gain * sensed + offset + noise
     if joints.counts_per_turn:
-        step = 2 * np.pi / joints.counts_per_turn / kinematics.factors
+        step = 2 * np.pi / joints.counts_per_turn / kinematics.gear_ratios
         reading = np.round(reading / step) * step
     return reading
 

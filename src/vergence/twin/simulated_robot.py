@@ -28,7 +28,7 @@ from vergence.gaze.commands import (
 )
 from vergence.gaze.observation import is_central
 from vergence.gaze.state import GazeSettings
-from vergence.geometry.head import T_head_base
+from vergence.geometry.head import base_pose
 from vergence.geometry.kinematics import EYE_JOINTS, Kinematics
 from vergence.geometry.neck import NECK_JOINTS
 from vergence.geometry.projection import project_point
@@ -71,7 +71,7 @@ def calibrate_twin(twin: Twin, seed: int, progress: Progress = silent) -> GazeSe
     return GazeSettings(
         calibration=head,
         limits=twin_limits(twin.truth.kinematics),
-        joint_std_rad=float(np.hypot(floor, std)),
+        reading_std=float(np.hypot(floor, std)),
     )
 
 
@@ -113,7 +113,7 @@ def twin_limits(kinematics: Kinematics) -> JointLimits:
     rows = [model.joints.index(EYE_JOINTS[k]) for k in sensor_columns(kinematics)]
     names = [*NECK_JOINTS, *kinematics.readings]
     order = [*range(len(NECK_JOINTS)), *rows]
-    farther = 1 / np.append(np.ones(len(NECK_JOINTS)), kinematics.factors)
+    farther = 1 / np.append(np.ones(len(NECK_JOINTS)), kinematics.gear_ratios)
     ranges = model.range_rad[order] * farther[:, None]
     return joint_limits(
         dict(zip(names, map(tuple, ranges.tolist()), strict=True)),
@@ -154,7 +154,7 @@ class SimulatedHead:
         self._all_cameras_every = all_cameras_every
         twin.restart(run)
         self._T_world_start = twin.T_world_lbase()
-        self._T_lbase_head = inverse(T_head_base(twin.truth, "left"))
+        self._T_lbase_head = inverse(base_pose(twin.truth, "left"))
         kinematics = twin.truth.kinematics
         self._limits = twin_limits(kinematics)
         self._command = hold(np.zeros(len(self._limits.joints)), self._limits, twin.time_s)
@@ -230,7 +230,7 @@ def unoccluded(twin: Twin, places_head: Array, *, margin_m: float) -> np.ndarray
     # Rays are tested against group 5 only: the world's own geoms, which are the room.
     model.geom_group[:] = np.where(model.geom_bodyid == 0, 5, 0)
     groups = np.array([0, 0, 0, 0, 0, 1], np.uint8)
-    places_lbase = transform(inverse(T_head_base(twin.truth, "left")), places_head)
+    places_lbase = transform(inverse(base_pose(twin.truth, "left")), places_head)
     places = transform(twin.T_world_lbase(), places_lbase)
     found = np.ones(len(places), bool)
     for camera in twin.truth.cameras:

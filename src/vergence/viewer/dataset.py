@@ -16,7 +16,7 @@ from vergence.calibration.calibrate import CalibrationResult
 from vergence.data.dataset import Dataset
 from vergence.geometry.board import Board, corner_points
 from vergence.geometry.kinematics import EYES
-from vergence.geometry.projection import T_lbase_eye
+from vergence.geometry.projection import eye_pose_in_left_base
 from vergence.progress import Progress, silent
 from vergence.viewer import style
 from vergence.viewer.layouts import camera_entities, dataset_blueprint
@@ -57,7 +57,10 @@ def record_dataset(
             set_time(rec, float(time_s[row]), row)
             for eye, T in zip(EYES, eyes[row], strict=True):
                 if np.isfinite(T).all():
-                    rec.log(f"world/{eye}_eye", placed(T_lbase_eye(eye, head.T_rbase_lbase, T)))
+                    rec.log(
+                        f"world/{eye}_eye",
+                        placed(eye_pose_in_left_base(eye, head.T_rbase_lbase, T)),
+                    )
             if estimate is not None:
                 T = estimate.T_lbase_target.get(int(dataset.placement[row]))
                 rec.log("world/board", rr.Clear(recursive=False) if T is None else placed(T))

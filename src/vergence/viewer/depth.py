@@ -12,7 +12,7 @@ import rerun.blueprint as rrb
 
 from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.kinematics import EYES
-from vergence.geometry.projection import T_lbase_eye
+from vergence.geometry.projection import eye_pose_in_left_base
 from vergence.self_calibration.dense_pairs import StereoImages
 from vergence.stereo.dense_depth import DenseDepth, point_cloud
 from vergence.stereo.rectification import RectifiedPair, rectified_image
@@ -59,7 +59,7 @@ def log_depth(
     """Record one pair, its depth, and the eyes as the pair was rectified."""
     set_time(rec, moment.time_s, index)
     for eye, T in zip(EYES, eye_poses(pair.head, pair.joints), strict=True):
-        rec.log(f"world/{eye}_eye", placed(T_lbase_eye(eye, pair.head.T_rbase_lbase, T)))
+        rec.log(f"world/{eye}_eye", placed(eye_pose_in_left_base(eye, pair.head.T_rbase_lbase, T)))
     log_image(rec, "rectified/left", found.image)
     log_image(rec, "rectified/right", rectified_image(pair.right, moment.right))
     std_m = np.where(np.isfinite(found.depth_m), found.std_m, np.nan)

@@ -17,7 +17,7 @@ from vergence.data.dataset import Frame
 from vergence.gaze.commands import EYE_READINGS, HEAD_JOINTS, NECK, setpoints_at
 from vergence.gaze.foveation import ideal_wide_pixel
 from vergence.gaze.state import GazeSettings, GazeState
-from vergence.geometry.head import T_base_cam, T_body_base
+from vergence.geometry.head import base_pose_in_body, camera_pose_in_base
 from vergence.geometry.kinematics import Side
 from vergence.geometry.se3 import inverse, transform
 from vergence.viewer import style
@@ -139,8 +139,8 @@ def _narrow_cameras(settings: GazeSettings, readings: Array) -> dict[Side, Array
     """Compute the pose (4, 4) of each narrow camera in frame body, at readings (j,)."""
     head = settings.calibration
     return {
-        eye: T_body_base(head, eye, readings)
-        @ T_base_cam(head, cameras.narrow, readings[EYE_READINGS])
+        eye: base_pose_in_body(head, eye, readings)
+        @ camera_pose_in_base(head, cameras.narrow, readings[EYE_READINGS])
         for eye, cameras in settings.eyes.items()
     }
 

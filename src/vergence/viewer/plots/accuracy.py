@@ -14,7 +14,7 @@ from vergence.accuracy.design_sweep import Sweep, at_distance, by_source, values
 from vergence.accuracy.plan import Plan
 from vergence.gaze.foveation import foveal_miss, ideal_wide_pixel
 from vergence.geometry.board import corner_points
-from vergence.geometry.head import HeadCalibration, T_head_base, T_narrow_wide
+from vergence.geometry.head import HeadCalibration, base_pose, wide_pose_in_narrow
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.se3 import inverse, transform
 from vergence.viewer.plots.canvas import BLUE, GREEN, RED, label, panels, plain_log, save
@@ -59,7 +59,7 @@ def save_budget(path: Path, budgets: Sequence[Budget], title: str) -> None:
 def save_plan(path: Path, plan: Plan) -> None:
     """Draw a plan into a PNG file."""
     canvas, (above, side, curve) = panels(3, "Views to record next", columns=3)
-    T = T_head_base(plan.head, "left")
+    T = base_pose(plan.head, "left")
     grid = corner_points(plan.board).reshape(plan.board.rows, plan.board.columns, 3)
     outline = np.array([grid[0, 0], grid[0, -1], grid[-1, -1], grid[-1, 0], grid[0, 0]])
     boards = transform((T @ plan.views.T_lbase_target)[:, None], outline)
@@ -154,7 +154,7 @@ def draw_foveation(calibration: HeadCalibration) -> Canvas:
         width = 3.0 if eye == "left" else 1.5  # on a head as designed they are the same
         colour = html(EYE_COLOURS[eye][0])
         converge.plot(DEPTHS_M, distance, color=colour, linewidth=width, label=f"{eye} eye")
-    T_wide_narrow = inverse(T_narrow_wide(calibration, "left"))
+    T_wide_narrow = inverse(wide_pose_in_narrow(calibration, "left"))
     from_wide = T_wide_narrow[2, 2] * DEPTHS_M + T_wide_narrow[2, 3]
     for wrong_m, colour in DEPTH_ERRORS.items():
         miss = foveal_miss(calibration, "left", from_wide, DEPTHS_M + wrong_m)
