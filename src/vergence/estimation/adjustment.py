@@ -201,7 +201,7 @@ def _inliers(
 def _weighed(
     residual: Residual, x: Variables, weights: Array, share: float, floor: float
 ) -> Residual:
-    """Estimate the noise scale of each row, of which a share of the residuals is left."""
+    """Estimate the noise scale of each row; the fit has left this share of the residuals."""
     if not residual.weighs_rows:
         return residual
     kept = np.repeat(weights > 0.5, residual.together, axis=1)

@@ -1,7 +1,7 @@
 """OpenCV's FileStorage (.yml, .yaml, .xml or .json): a whole head, matrices as cv::Mat.
 
 cameras:  by name  eye, image_width, image_height, camera_matrix (3x3),
-                   lens_model (radial-tangential where there is none: cv2.projectPoints with 5
+                   lens_model (radial-tangential if it is missing: cv2.projectPoints with 5
                    numbers; rational: with 8; fisheye: cv2.fisheye.projectPoints),
                    distortion_coefficients (1xn), T_eye_cam (4x4)
 T_rbase_lbase (4x4)

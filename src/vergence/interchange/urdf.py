@@ -82,8 +82,8 @@ def _add_eye(
 ) -> None:
     """Add the joints of an eye between two links: angle = sum of factor * reading + offset.
 
-    A joint that is one reading bears its name. Others mimic theirs, one turn about the axis for
-    each; a reading that is no joint's angle is the joint of a link of its own, beside the eye.
+    A joint with one reading has the reading's name. Other joints mimic their readings, with one
+    turn about the axis for each; a reading that is not a joint's angle gets a link of its own.
     """
     chain, parent, at = kinematics.chains[eye], base, np.zeros(3)
     factors = np.concatenate([c.mixing for c in kinematics.chains.values()])

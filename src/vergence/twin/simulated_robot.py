@@ -134,7 +134,7 @@ class SimulatedHead:
     """
 
     hand: SimulatedHand | None = None
-    """A hand that the cameras see; None: there is none."""
+    """A hand that the cameras see, or None."""
 
     def __init__(
         self,

@@ -1,7 +1,7 @@
 """Estimate which part of each pixel a coloured sphere covers.
 
 The sphere's shading is fitted to its inner pixels and extrapolated to its rim; the background is
-that of the pixels beside the rim. The coverage of a pixel of the rim follows by generalised least
+that of the pixels next to the rim. The coverage of a pixel of the rim follows by generalised least
 squares over its three colours, with the covariance of the background's colours.
 """
 
@@ -21,7 +21,7 @@ CONTRAST = np.array([1.0, -0.5, -0.5])
 _COVER_STD = 0.5
 """Prior standard deviation of a pixel's coverage about that of the previous outline."""
 _NEARBY_PX, _NEARBY_STD_PX = (9, 9), 1.0
-"""Support and standard deviation of the Gaussian average of the background beside the rim [px]."""
+"""Support and standard deviation of the Gaussian average of the background next to the rim [px]."""
 _FITTED_PIXELS = 1000
 """Number of inner pixels to which the shading is fitted at most; limits the time."""
 
