@@ -15,7 +15,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -199,7 +199,7 @@ def results_folder(folder: Path | None) -> Iterator[None]:
         return
     check_writable(folder, folder=True)
     mark, new = folder / UNFINISHED, not folder.exists()
-    with _writing(folder), _locked(folder):
+    with _writing(folder), _removed_if_empty(folder, new=new), _locked(folder):
         _remove_temporary(folder)
         try:
             mark.write_text(
@@ -216,6 +216,20 @@ def results_folder(folder: Path | None) -> Iterator[None]:
                 if new:
                     folder.rmdir()
             raise
+
+
+@contextmanager
+def _removed_if_empty(folder: Path, *, new: bool) -> Iterator[None]:
+    """Remove a new folder that is still empty when a signal interrupts a `with` block."""
+    try:
+        yield
+    except Exception:  # such as another process's lock on the folder
+        raise
+    except BaseException:
+        if new:
+            with suppress(OSError):
+                folder.rmdir()
+        raise
 
 
 @contextmanager
