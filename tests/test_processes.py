@@ -136,13 +136,3 @@ def test_processes_share_the_cores_among_threads_of_opencv():
     counts = []
     run_tasks([opencv_threads, opencv_threads], counts.append, jobs=2)
     assert counts == 2 * [max(1, process_count(-1) // 2)]
-
-
-def test_a_folder_that_a_signal_interrupts_while_it_is_created_is_removed(tmp_path, monkeypatch):
-    def interrupted(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("vergence.files.fcntl.flock", interrupted)
-    with pytest.raises(KeyboardInterrupt), results_folder(tmp_path / "out"):
-        pass
-    assert not (tmp_path / "out").exists()
