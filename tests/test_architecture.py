@@ -214,3 +214,18 @@ def test_a_single_breach_is_found(tmp_path: Path, where: str, text: str, found: 
 def test_a_circle_is_found(tmp_path: Path):
     write_package(tmp_path, SOUND | {"geometry.camera": "def late():\n    from . import head"})
     assert "vergence.geometry.camera" in circle(tmp_path)
+
+
+def test_a_real_head_needs_no_mujoco():
+    """Import all rooms but the twin and its experiments where mujoco cannot be imported."""
+    code = (
+        "import sys; sys.modules['mujoco'] = None; from importlib import import_module; "
+        "[import_module(name) for name in sys.argv[1:]]"
+    )
+    without = {"twin", "paper", "demos", "__main__"}
+    names = [name for name in modules(SRC) if not without & set(name.split(".")[1:2])]
+    assert len(names) > 100
+    done = subprocess.run(
+        [sys.executable, "-c", code, *names], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr

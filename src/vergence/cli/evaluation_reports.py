@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from vergence.cli.report import Report
 from vergence.files import markdown_table
 from vergence.self_calibration.recorded import OBSERVED, SelfCalibrationResult
-from vergence.twin.evaluation import Evaluation
+
+if TYPE_CHECKING:  # the twin, and with it mujoco, is not needed to self-calibrate a real head
+    from vergence.twin.evaluation import Evaluation
 
 
 def evaluation_report(found: Evaluation) -> Report:
