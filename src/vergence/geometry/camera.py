@@ -24,10 +24,10 @@ from vergence.geometry import lens
 from vergence.geometry.batches import batch_first, batch_last, ignoring_invalid, vector
 from vergence.geometry.lens import COEFFICIENTS, PINHOLE, CameraModel
 
-MAX_IMAGE_PX = 20_000
+MAX_IMAGE_PX = 20_000  # side of an image, beyond any camera
 MAX_IMAGE_AREA_PX = 50_000_000
 """Width times height; decoding an image of this size takes 300 MB."""
-MIN_FOCAL_PX = 1e-6
+MIN_FOCAL_PX = 1e-6  # above zero by more than rounding
 ImageSide = Annotated[int, Field(gt=0, le=MAX_IMAGE_PX)]
 """The width or height of an image."""
 MAX_NUMBER = 1e12

@@ -40,8 +40,8 @@ x."""
 WIDE = ("left_wide", "right_wide")
 """The wide cameras of the paper's head, by which it locates points."""
 _FINITE = ConfigDict(extra="forbid", allow_inf_nan=False)
-MAX_CAMERAS = 64
-MAX_TIME_OFFSET_S = 10.0
+MAX_CAMERAS = 64  # a limit for files of strangers, see docs/security.md
+MAX_TIME_OFFSET_S = 10.0  # a limit for files of strangers
 
 
 @dataclass(frozen=True, eq=False, config=_FINITE)

@@ -39,7 +39,7 @@ from vergence.geometry.se3 import cross
 
 _FARTHEST_M = 50.0
 """Noise makes far points infinitely far, or puts them behind the head; they are taken as here."""
-_NEAREST_M = 0.02
+_NEAREST_M = 0.02  # closer than any object that both eyes see
 
 
 @dataclass(frozen=True, eq=False)

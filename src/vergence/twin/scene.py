@@ -32,7 +32,7 @@ _PASSER_M = np.array([0.75, 0.30, 1.20])
 """Middle of its path in the world: 0.75 m before the head, to its left."""
 _PASSER_SWING_M = 0.19
 """With its own width it sweeps over a third of a 2.8 mm lens's view."""
-_PASSER_PERIOD_S = 5.0
+_PASSER_PERIOD_S = 5.0  # there and back, at 0.24 m/s at most
 
 MARGIN_SQUARES = 0.5
 """Width of the white margin, enough for the markers' black frames at the edge."""

@@ -50,7 +50,7 @@ LOOK_S, LOOK_STEP_S = 5.0, 0.1
 FASTER = SLOWEST_S["divergent"] / LOOK_S
 """Speed of the eyes relative to the paper's figures. Each joint passes through its range once, at
 45 degrees a second or less: new postures are more informative than more images."""
-_SETTLE_S = 1.0
+_SETTLE_S = 1.0  # before the motion, for the simulated servos to reach its start
 
 
 def calibrate_twin(twin: Twin, seed: int, progress: Progress = silent) -> GazeSettings:
