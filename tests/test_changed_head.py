@@ -201,8 +201,6 @@ def test_in_a_pause_all_that_is_known_fades():
     # Of where it was learned from too: else drift would look like a head that was never calibrated.
     np.testing.assert_allclose(later.covariance, state.covariance + drift)
     np.testing.assert_allclose(later.prior_covariance, state.prior_covariance + drift)
-    assert state.revisits is not None
-    assert later.revisits is not None
     np.testing.assert_allclose(later.revisits.ages_s, state.revisits.ages_s + pause_s)
     assert later.revisits.independent < 0.5 * state.revisits.independent
     assert later.time_s == state.time_s + pause_s

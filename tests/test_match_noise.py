@@ -16,10 +16,7 @@ from vergence.self_calibration.frame import estimate_from_matches
 from vergence.self_calibration.kalman import predict
 from vergence.self_calibration.match_noise import (
     RevisitCorrelation,
-    frame_novelty,
-    predict_revisits,
-    revisit_inflation,
-    update_revisits,
+    no_revisits,
 )
 from vergence.vision.matching.scene_features import Matches
 
@@ -74,30 +71,29 @@ def test_a_lens_that_departs_from_its_model_as_stated_makes_nothing_too_certain(
     assert distances[1] < len(state.names)
 
 
-def inflation_at(before: RevisitCorrelation | None, posture: np.ndarray) -> float:
-    return revisit_inflation(before, frame_novelty(before, posture))
+def inflation_at(before: RevisitCorrelation, posture: np.ndarray) -> float:
+    return before.inflation(before.novelty(posture))
 
 
 def test_a_frame_counts_by_what_its_posture_adds():
     """At one posture n frames tell as much as n / (1 + c (n - 1)) independent ones."""
-    posture, revisits, told, c, far = np.zeros(4), None, 0.0, 0.25, 0.005
+    posture, revisits, told, c, far = np.zeros(4), no_revisits(4), 0.0, 0.25, 0.005
     c = c * (1 - far) + far  # the first is of what frames at any posture do not share
     for n in range(1, 6):
         told += 1 / inflation_at(revisits, posture)
         assert told == pytest.approx(n / (1 + c * (n - 1)))
-        revisits = update_revisits(revisits, posture, novelty=frame_novelty(revisits, posture))
+        revisits = revisits.update(posture, revisits.novelty(posture), 0.0)
     assert 1 < inflation_at(revisits, posture + np.radians(60)) < 1.2
-    assert inflation_at(predict_revisits(revisits, 7200.0), posture) == pytest.approx(1, abs=1e-3)
+    assert inflation_at(revisits.predict(7200.0), posture) == pytest.approx(1, abs=1e-3)
 
 
 @pytest.mark.parametrize("systematic", [0.0, 0.3])
 def test_no_number_of_frames_tells_more_than_what_they_have_in_common_allows(systematic):
-    told, revisits, rng = 0.0, None, np.random.default_rng(0)
+    told, revisits, rng = 0.0, no_revisits(4), np.random.default_rng(0)
     far = systematic + (1 - systematic) * 0.005
     for posture in rng.uniform(-100, 100, (1000, 4)):  # without a common neighbour
         told += 1 / inflation_at(revisits, posture)
-        novelty = frame_novelty(revisits, posture)
-        revisits = update_revisits(revisits, posture, novelty=novelty, systematic=systematic)
+        revisits = revisits.update(posture, revisits.novelty(posture), systematic)
     assert told == pytest.approx(1000 / (1 + far * 999), rel=1e-6)
 
 
@@ -106,7 +102,7 @@ def test_no_frame_tells_more_than_one_that_shares_no_errors(seed, n, apart_deg):
     rng = np.random.default_rng(seed)
     postures = np.radians(apart_deg) * rng.normal(size=(n + 1, 4))
     revisits = RevisitCorrelation(postures[1:], rng.uniform(0, 1200, n))
-    assert inflation_at(predict_revisits(revisits, rng.uniform(0, 10)), postures[0]) >= 1 - 1e-9
+    assert inflation_at(revisits.predict(rng.uniform(0, 10)), postures[0]) >= 1 - 1e-9
 
 
 def test_how_much_matches_err_is_learned():

@@ -21,7 +21,7 @@ from vergence.geometry.head import parameter_names
 from vergence.geometry.parameters import boxminus, boxplus
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
-from vergence.self_calibration.filter import update, update_with_tracked
+from vergence.self_calibration.filter import update
 from vergence.self_calibration.frame import estimate_from_matches
 from vergence.self_calibration.kalman import predict
 from vergence.self_calibration.keyframe import (
@@ -100,7 +100,7 @@ def learned_while_moving(truth, state, angles, points, rng, *, track=True, noise
             features = tracked_features(
                 truth, key, then=at["key"], now=now, points=points, noise_px=noise_px, rng=rng
             )
-        state = predict(update_with_tracked(state, seen, features), 0.5)
+        state = predict(update(state, seen, features), 0.5)
         if key is None or state.keyframe is None or state.keyframe.pixels is not key.pixels:
             at["key"] = now
     return state
@@ -190,7 +190,7 @@ def turned_once(wrong_rad: float = 0.0) -> tuple[FilterState, FrameEstimate, Tra
 
 def test_features_that_moved_by_themselves_teach_nothing():
     state, seen, wrong = turned_once(np.radians(3))
-    without, with_wrong = (update_with_tracked(state, seen, each) for each in (None, wrong))
+    without, with_wrong = (update(state, seen, each) for each in (None, wrong))
     np.testing.assert_array_equal(with_wrong.covariance, without.covariance)
 
 
@@ -211,7 +211,7 @@ def test_depths_that_are_all_wrong_alike_do_not_move_the_cameras():
     near, far = (
         replace(right, depths_m=(s * right.depths_m[0], s * right.depths_m[1])) for s in (0.9, 1.1)
     )
-    ends = [update_with_tracked(state, seen, each).head for each in (near, far)]
+    ends = [update(state, seen, each).head for each in (near, far)]
     moved = boxminus(ends[1], ends[0])
     shifts_m = [moved[n] for n in state.names if n.endswith(("tx", "ty", "tz"))]
     assert max(np.abs(shifts_m)) < 2e-4
@@ -240,6 +240,6 @@ def test_features_of_another_keyframe_and_few_ones_do_not_count():
         tuple(Matches(m.left[:11], m.right[:11], m.covariance[:11]) for m in tracked.matches),
         tuple(depths[:11] for depths in tracked.depths_m),
     )
-    without, *others = (update_with_tracked(state, seen, each) for each in (None, other, few))
+    without, *others = (update(state, seen, each) for each in (None, other, few))
     for each in others:
         np.testing.assert_array_equal(each.covariance, without.covariance)

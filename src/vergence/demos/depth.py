@@ -8,13 +8,14 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
+from vergence.data.dataset import Frame
 from vergence.demos.experiment import LOOKING, Experiment
 from vergence.gaze.commands import EYE_READINGS
 from vergence.geometry.camera import project, unproject
@@ -26,7 +27,6 @@ from vergence.self_calibration.dense_pairs import (
     RANGE_M,
     DepthSequence,
     PairDepth,
-    StereoImages,
     depth_by,
 )
 from vergence.stereo.dense_depth import DenseDepth
@@ -159,7 +159,7 @@ def _pairs(
     geometry: Geometry,
     reading_std: float | None,
     errors: dict[str, list[PairErrors]],
-) -> Iterator[tuple[StereoImages, PairDepth]]:
+) -> Iterator[tuple[Frame, PairDepth]]:
     """Yield pairs with their depths, and append their errors by geometry."""
     left, right = pair_names(twin.truth)
     visual = None
@@ -172,13 +172,12 @@ def _pairs(
         angles = twin.true_angles()[EYE_READINGS]
         frame = twin.capture((left, right))
         visual = None if visual is None else update_geometry(visual, frame)
-        images = StereoImages(STEP_S * k, frame.images[left], frame.images[right])
         truth = DepthTruth(twin.truth, angles, twin.true_depth(left))
-        found = depth_by(images, head, frame.eye_angles, reading_std=reading_std)
+        found = depth_by(frame, head, frame.eye_angles, reading_std=reading_std)
         errors["joints"].append(depth_errors(*found, truth))
-        true = depth_by(images, truth.head, truth.eye_angles)
+        true = depth_by(frame, truth.head, truth.eye_angles)
         errors["true_geometry"].append(depth_errors(*true, truth))
         if visual is not None:
-            found = depth_by(images, head, frame.eye_angles, seen=visual.latest)
+            found = depth_by(frame, head, frame.eye_angles, seen=visual.latest)
             errors["seen"].append(depth_errors(*found, truth))
-        yield images, found
+        yield replace(frame, time_s=STEP_S * k), found

@@ -1,8 +1,4 @@
-"""Self-calibration frame after frame: each frame is estimated, and then updates the filter.
-
-Gaze, dense depth and recordings go through `update_geometry`, which returns a new value;
-`SelfCalibrator` holds one for a program of its own.
-"""
+"""Self-calibration frame after frame: each frame is estimated, and then updates the filter."""
 
 from __future__ import annotations
 
@@ -52,10 +48,7 @@ class VisualGeometry:
 
 
 def initial_visual_geometry(
-    head: HeadCalibration,
-    *,
-    cameras: tuple[str, str] | None = None,
-    changed: Changed = "little",
+    head: HeadCalibration, *, cameras: tuple[str, str] | None = None, changed: Changed = "little"
 ) -> VisualGeometry:
     """Start from a calibration; arguments and errors are those of `prior.initial_state`."""
     return VisualGeometry(initial_state(head, cameras=cameras, changed=changed))
@@ -68,16 +61,9 @@ def update_geometry(
     """Estimate a frame, and update the filter with it.
 
     Frames less than UPDATE_S apart, or at the same posture to MOVED_RAD, are estimated only. Time
-    that goes back, as where another run begins, counts as no time.
-
-    Args:
-        geometry: after the frame before.
-        frame: with an image of each camera of the pair.
-        joints: (r,) readings at the moment of the images [rad]; None: the frame's.
-
-    Raises:
-        VergenceError: an image is missing, or the time or the angles of the neck are not finite;
-            others are those of `frame.estimate_frame`.
+    that goes back, as where another run begins, counts as no time. Readings (r,) [rad] at the
+    moment of the images replace the frame's. VergenceError if an image is missing, or the time or
+    the angles of the neck are not finite; others are those of `frame.estimate_frame`.
     """
     cameras = geometry.state.cameras
     for name in cameras:
@@ -109,19 +95,17 @@ def update_with_estimate(
 ) -> VisualGeometry:
     """Update the filter, as predicted to a frame's time, with its estimate and neck angles (3,)."""
     state, time_s = replace(geometry.state, change=None), geometry.time_s
-    readings = estimate.readings
     if time_s is None or geometry.updated_s is None or geometry.updated_at is None:
-        return VisualGeometry(state, estimate, time_s, time_s, readings, neck)
-    elapsed_s = time_s - geometry.updated_s
-    moved = np.abs(state.head.kinematics.gear_ratios * (readings - geometry.updated_at)).max()
-    at_rest, close = moved < MOVED_RAD, 0 < round(elapsed_s, 6) < UPDATE_S
-    if at_rest or close or estimate.evidence is None:
+        return VisualGeometry(state, estimate, time_s, time_s, estimate.readings, neck)
+    close = 0 < round(time_s - geometry.updated_s, 6) < UPDATE_S
+    turned = state.largest_turn_rad(estimate.readings, geometry.updated_at)
+    if turned < MOVED_RAD or close or estimate.evidence is None:
         return replace(geometry, state=state, latest=estimate)
     updated = update(state, estimate)
     before, after = state.keyframe, updated.keyframe
     kept = before is not None and after is not None and after.images is before.images
     at_keyframe = geometry.keyframe_neck if kept else neck
-    return VisualGeometry(updated, estimate, time_s, time_s, readings, at_keyframe)
+    return VisualGeometry(updated, estimate, time_s, time_s, estimate.readings, at_keyframe)
 
 
 class SelfCalibrator:
@@ -162,17 +146,10 @@ class SelfCalibrator:
     def update(self, frame: Frame, joints: ArrayLike | None = None) -> FrameEstimate:
         """Estimate head and joint angles at a frame, and learn from it.
 
-        Args:
-            frame: images of both cameras, and readings at their moment.
-            joints: (r,) readings [rad] in place of the frame's.
-
-        Returns:
-            The estimate; its `status` is "seen", "little seen" (the prior stands, in part or
-            wholly) or "contradiction" (head and readings stand as they were).
-
-        Raises:
-            VergenceError: an image is missing or of another size, or readings or time are not
-                finite.
+        The `status` of the estimate is "seen", "little seen" (the prior stands, in part or wholly)
+        or "contradiction" (head and readings stand as they were). Readings (r,) [rad] replace the
+        frame's. Raises VergenceError if an image is missing or of another size, or readings or
+        time are not finite.
         """
         self.geometry = update_geometry(self.geometry, frame, joints)
         assert self.geometry.latest is not None

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.data.dataset import Dataset
+from vergence.data.dataset import Dataset, Frame
 from vergence.data.stereo_rows import stereo_rows
 from vergence.errors import VergenceError
 from vergence.geometry.camera import unproject
@@ -36,15 +36,6 @@ LEAST_MISALIGNED_RAD = float(np.radians(0.1))
 """Smallest such angle [rad]: well above the noise of matched features."""
 
 
-@dataclass(frozen=True, eq=False)
-class StereoImages:
-    """Images of both eyes at one moment."""
-
-    time_s: float
-    left: np.ndarray
-    right: np.ndarray
-
-
 PairDepth = tuple[RectifiedPair, DenseDepth]
 """A rectified pair, and the depth of its pixels."""
 
@@ -54,8 +45,8 @@ class DepthSequence:
     """Dense depth of pairs in order of time."""
 
     head: HeadCalibration
-    found: Iterator[tuple[StereoImages, PairDepth]]
-    """Pairs with their depths, computed as they are taken."""
+    found: Iterator[tuple[Frame, PairDepth]]
+    """Frames with their rectified pairs and depths, computed as they are taken."""
     count: int
     left_out: int = 0
     """Further pairs at whose postures the views cannot be rectified."""
@@ -74,7 +65,6 @@ def dataset_depth(
     both = stereo_rows(dataset, head)
     if geometry == "seen" and measured(both.joints):
         raise VergenceError(f"--geometry seen corrects joint readings; {dataset.folder} has poses.")
-    left, right = both.cameras
     wanted = np.unique(np.linspace(0, len(both) - 1, pairs).round().astype(int))
     errors = [_rectification_error(head, both.joints[k]) for k in wanted]
     chosen = [int(k) for k, error in zip(wanted, errors, strict=True) if error is None]
@@ -82,17 +72,15 @@ def dataset_depth(
         raise errors[0]
     before = initial_visual_geometry(head) if geometry == "seen" else None
 
-    def read() -> Iterator[tuple[StereoImages, PairDepth]]:
+    def read() -> Iterator[tuple[Frame, PairDepth]]:
         known = before
         for k in chosen if known is None else range(chosen[-1] + 1):
             frame = both.frame(k)
             known = None if known is None else update_geometry(known, frame)
             if k in chosen:
-                time_s = frame.time_s - float(dataset.time_s[0])
-                images = frame.images[left], frame.images[right]
+                frame = replace(frame, time_s=frame.time_s - float(dataset.time_s[0]))
                 seen = None if known is None else known.latest
-                moment = StereoImages(time_s, *images)
-                yield moment, depth_by(moment, head, both.joints[k], seen=seen)
+                yield frame, depth_by(frame, head, both.joints[k], seen=seen)
 
     return DepthSequence(head, read(), len(chosen), len(wanted) - len(chosen))
 
@@ -106,14 +94,14 @@ def _rectification_error(head: HeadCalibration, joints: Array) -> VergenceError 
 
 
 def depth_by(
-    moment: StereoImages,
+    frame: Frame,
     head: HeadCalibration,
     joints: Array,
     *,
     reading_std: float | None = None,
     seen: FrameEstimate | None = None,
 ) -> PairDepth:
-    """Compute the depth of a pair by a head and joints, or by what both eyes see of these.
+    """Compute the depth of a frame by a head and joints, or by what both eyes see of these.
 
     Joints are readings [rad] or measured poses (2, 4, 4), and their noise is that of `dense_depth`.
     """
@@ -121,29 +109,22 @@ def depth_by(
     if seen is not None:
         head, joints = seen.head, seen.joints
         located = partial(locate_in_frame, seen, pixel_std_px=0.0)
-    pair, images = rectify(head, joints), (moment.left, moment.right)
-    found = dense_depth(pair, *images, reading_std=reading_std, located=located)
-    return pair, found
+    pair = rectify(head, joints)
+    left, right = (frame.images[name] for name in pair.cameras)
+    return pair, dense_depth(pair, left, right, reading_std=reading_std, located=located)
 
 
-def misaligned(angle_rad: float, noise_rad: float) -> bool:
-    """Decide whether rows are further apart than the noise of readings explains.
-
-    Both arguments are medians over pairs: of `row_difference_rad` and of `row_noise_rad`.
-    """
-    return angle_rad > max(MISALIGNED * noise_rad, LEAST_MISALIGNED_RAD)
-
-
-def row_difference_rad(moment: StereoImages, pair: RectifiedPair) -> float:
+def row_difference_rad(frame: Frame, pair: RectifiedPair) -> float:
     """Measure the angle between the rows of matched features, in the median [rad].
 
     NaN if too few features are matched. The search allows for a geometry wrong by some degrees.
     """
     views = pair.left, pair.right
     R_lrect_lcam, R_rrect_rcam = (view.R_rect_cam for view in views)
+    left, right = (frame.images[name] for name in pair.cameras)
     matches = match_scene(
-        moment.left,
-        moment.right,
+        left,
+        right,
         left_camera=pair.left.camera,
         right_camera=pair.right.camera,
         T_rcam_lcam=pose(

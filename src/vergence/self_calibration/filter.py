@@ -24,6 +24,7 @@ from vergence.self_calibration.kalman import (
     predict,
 )
 from vergence.self_calibration.keyframe import track_keyframe, worth_tracking
+from vergence.self_calibration.match_noise import no_revisits
 from vergence.self_calibration.prior import (
     BUMP,
     UNCALIBRATED,
@@ -57,21 +58,18 @@ _TESTED = 8
 """Updates between tests of their sum, which takes 0.9 ms and shows a change in many frames."""
 
 
-def update(state: FilterState, estimate: FrameEstimate) -> FilterState:
-    """Update the filter with a frame that was estimated from its predicted state."""
-    tracked = None
-    if estimate.evidence is not None and worth_tracking(state, estimate):
-        tracked = track_keyframe(state, estimate)
-    return update_with_tracked(state, estimate, tracked)
-
-
-def update_with_tracked(
-    state: FilterState, estimate: FrameEstimate, tracked: TrackedFeatures | None
+def update(
+    state: FilterState, estimate: FrameEstimate, tracked: TrackedFeatures | None = None
 ) -> FilterState:
-    """Update the filter with a frame, and with features of the keyframe in it, if any."""
+    """Update the filter with a frame that was estimated from its predicted state.
+
+    Features of the keyframe are tracked where the frame has images, unless they are given.
+    """
     state = replace(state, change=None)
     if estimate.evidence is None:
         return state
+    if tracked is None and worth_tracking(state, estimate):
+        tracked = track_keyframe(state, estimate)
     records = (*state.records, _record(state, estimate, tracked))
     changed = _detect_change(records[-_WINDOW:])
     if changed is not None:
@@ -103,7 +101,7 @@ def _restart(state: FilterState) -> FilterState:
     """Start again with the uncertainty of a head that is known from its drawing only."""
     return replace(
         _release(state, UNCALIBRATED),
-        revisits=None,
+        revisits=no_revisits(len(state.noise_ratios)),
         joint_weight=FilterState.joint_weight,
         records=(),
         keyframe=None,

@@ -18,7 +18,6 @@ from vergence.geometry.camera import check_image_fits
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import checked_readings
 from vergence.geometry.parameters import change_named
-from vergence.self_calibration.match_noise import frame_novelty, revisit_inflation
 from vergence.self_calibration.prior import UNCALIBRATED, tolerance_covariance
 from vergence.self_calibration.residuals import epipolar_residuals, pair_coordinates
 from vergence.self_calibration.robust_fit import (
@@ -28,7 +27,7 @@ from vergence.self_calibration.robust_fit import (
     passes_gate,
     robust_fit,
 )
-from vergence.self_calibration.state import Evidence, FilterState, FrameEstimate, frame_covariance
+from vergence.self_calibration.state import Evidence, FilterState, FrameEstimate
 from vergence.stereo.extrinsics import relative_camera_pose
 from vergence.stereo.uncertainty import LocatedPoints, locate_jointly
 from vergence.vision.exposure import checked_image, grey_levels
@@ -99,7 +98,7 @@ def estimate_from_matches(
         joints=joints,
         readings=joints,
         names=state.names,
-        covariance=frame_covariance(state),
+        covariance=state.frame_covariance,
         matches=matches,
         weights=np.zeros(len(matches.left)),
         status="little seen",
@@ -126,7 +125,7 @@ def estimate_from_matches(
         prior,
         weights=weights,
         evidence=evidence,
-        novelty=frame_novelty(state.revisits, posture),
+        novelty=state.revisits.novelty(posture),
     )
     if not passes_gate(evidence):
         return replace(prior, status="contradiction")
@@ -177,7 +176,7 @@ def _discount_revisits(
     of_joints = N[P:, P:] + np.diag(state.reading_std_rad**-2.0)
     gain = np.linalg.solve(of_joints, N[P:, :P]).T
     information, vector = N.copy(), b.copy()
-    known = 1 - 1 / revisit_inflation(state.revisits, estimate.novelty)
+    known = 1 - 1 / state.revisits.inflation(estimate.novelty)
     information[:P, :P] -= known * (N[:P, :P] - gain @ N[P:, :P])
     vector[:P] -= known * (b[:P] - gain @ b[P:])
     return information, vector

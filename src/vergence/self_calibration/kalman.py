@@ -19,9 +19,6 @@ from vergence.geometry.parameters import change_between, change_named
 from vergence.self_calibration.keyframe import add_tracked, augmented_covariance, next_keyframe
 from vergence.self_calibration.match_noise import (
     PACE,
-    predict_revisits,
-    revisit_inflation,
-    update_revisits,
 )
 from vergence.self_calibration.prior import DRIFT, tolerance_covariance
 from vergence.self_calibration.state import (
@@ -29,7 +26,6 @@ from vergence.self_calibration.state import (
     FilterState,
     FrameEstimate,
     TrackedFeatures,
-    frame_covariance,
 )
 
 _CONTRADICTED = 1e-7
@@ -50,12 +46,11 @@ def predict(state: FilterState, elapsed_s: float) -> FilterState:
     if elapsed_s == 0:
         return state
     drift = tolerance_covariance(state.head, state.names, DRIFT) * elapsed_s / 60
-    revisits = state.revisits
     return replace(
         state,
         covariance=state.covariance + drift,
         prior_covariance=state.prior_covariance + drift,
-        revisits=None if revisits is None else predict_revisits(revisits, elapsed_s),
+        revisits=state.revisits.predict(elapsed_s),
         time_s=state.time_s + elapsed_s,
     )
 
@@ -74,7 +69,7 @@ def kalman_update(
     """
     evidence, P = estimate.evidence, len(state.names)
     assert evidence is not None
-    inflation = revisit_inflation(state.revisits, estimate.novelty)
+    inflation = state.revisits.inflation(estimate.novelty)
     C = augmented_covariance(state)
     information, vector = np.zeros_like(C), np.zeros(len(C))
     K = len(evidence.vector)
@@ -93,11 +88,10 @@ def kalman_update(
         state,
         head=head,
         covariance=C[:P, :P],
-        revisits=update_revisits(
-            state.revisits,
+        revisits=state.revisits.update(
             state.head.kinematics.gear_ratios * estimate.readings,
-            novelty=estimate.novelty,
-            systematic=evidence.systematic,
+            estimate.novelty,
+            evidence.systematic,
         ),
         match_scale=state.match_scale * (1 + PACE * (evidence.match_scale - 1)),
         design_effect=(1 - PACE) * state.design_effect + PACE * evidence.design_effect,
@@ -154,7 +148,7 @@ def log_likelihood(state: FilterState, evidence: Evidence) -> float:
     Without inflation for revisits: recurring errors were learned with the head, and do not look
     like a change.
     """
-    C = frame_covariance(state)
+    C = state.frame_covariance
     ratio = np.eye(len(C)) + evidence.information @ C
     _, log_det = np.linalg.slogdet(ratio)
     gain = float(evidence.vector @ C @ np.linalg.solve(ratio, evidence.vector))

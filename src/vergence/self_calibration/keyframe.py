@@ -19,7 +19,6 @@ from vergence.estimation.linear import posterior
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_between, change_named
 from vergence.geometry.se3 import inverse
-from vergence.self_calibration.match_noise import revisit_inflation
 from vergence.self_calibration.residuals import (
     depths_of_matches,
     motion_coordinates,
@@ -38,7 +37,6 @@ from vergence.self_calibration.state import (
     FrameEstimate,
     Keyframe,
     TrackedFeatures,
-    frame_covariance,
 )
 from vergence.stereo.extrinsics import camera_poses, relative_camera_pose
 from vergence.vision.matching.scene_features import track_features
@@ -61,9 +59,9 @@ lens model; with it they leave the squared Mahalanobis distance of rendered figu
 def worth_tracking(state: FilterState, estimate: FrameEstimate) -> bool:
     """Decide whether the eyes have turned far enough, to a posture that is new enough."""
     key = state.keyframe
-    if key is None or _turned_rad(key, estimate) < TURNED_RAD:
+    if key is None or state.largest_turn_rad(estimate.readings, key.readings) < TURNED_RAD:
         return False
-    return revisit_inflation(state.revisits, estimate.novelty) < _LARGEST_INFLATION
+    return state.revisits.inflation(estimate.novelty) < _LARGEST_INFLATION
 
 
 def track_keyframe(state: FilterState, estimate: FrameEstimate) -> TrackedFeatures | None:
@@ -99,7 +97,7 @@ def next_keyframe(
     P, r = len(state.names), len(estimate.readings)
     head_rows, now, then = slice(P), slice(P, P + r), slice(P + r, None)
     key = state.keyframe
-    if key is not None and _turned_rad(key, estimate) < TURNED_RAD:
+    if key is not None and state.largest_turn_rad(estimate.readings, key.readings) < TURNED_RAD:
         return replace(
             key,
             joints=key.joints + change[then],
@@ -125,14 +123,9 @@ def next_keyframe(
     )
 
 
-def _turned_rad(key: Keyframe, estimate: FrameEstimate) -> float:
-    factors = estimate.head.kinematics.gear_ratios
-    return float(np.abs(factors * (estimate.readings - key.readings)).max())
-
-
 def augmented_covariance(state: FilterState) -> Array:
     """Assemble the covariance (K, K) of head, readings and the keyframe's joints, if any."""
-    C, key = frame_covariance(state), state.keyframe
+    C, key = state.frame_covariance, state.keyframe
     if key is None:
         return C
     cross = np.concatenate([key.cross_covariance, np.zeros_like(key.covariance)])

@@ -58,6 +58,51 @@ class RevisitCorrelation:
     far_correlation: float = _FAR_CORRELATION
     """Of the errors of two frames at any two postures."""
 
+    def novelty(self, posture: Array) -> float:
+        """Compute how many independent frames one at a posture (r,) [rad] adds, from 0 to 1.
+
+        The mean of frames with correlated errors (covariance K) has the information of 1' K^-1 1
+        independent ones; a frame adds the difference.
+        """
+        nearest = np.argsort(np.linalg.norm(self.postures - posture, axis=1))[:_NEAREST]
+        postures, ages_s = self.postures[nearest], self.ages_s[nearest]
+        between_s = np.abs(ages_s[:, None] - ages_s)
+        K = _correlation(postures[:, None] - postures, between_s)
+        K[np.diag_indices(len(K))] = 1.0
+        k = _correlation(postures - posture, ages_s)
+        weights = np.linalg.solve(K, k)
+        return float(max(1 - weights.sum(), 1e-3) ** 2 / (1 - weights @ k))
+
+    def inflation(self, novelty: float) -> float:
+        """Compute the covariance inflation of a frame of a `novelty`.
+
+        Frames equivalent to n independent ones have the information of n / (1 + c (n - 1)), where
+        c is the far correlation; a frame adds the difference.
+        """
+        n, c = self.independent, self.far_correlation
+        return (1 + c * (n - 1)) * (1 + c * (n + novelty - 1)) / (novelty * (1 - c))
+
+    def predict(self, elapsed_s: float) -> RevisitCorrelation:
+        """Let the correlation with past frames fade."""
+        independent = self.independent * float(np.exp(-elapsed_s / _FADING_S))
+        return replace(self, ages_s=self.ages_s + elapsed_s, independent=independent)
+
+    def update(self, posture: Array, novelty: float, systematic: float) -> RevisitCorrelation:
+        """Add a frame at a posture (r,) [rad], with a systematic share of its variance."""
+        far = systematic + (1 - systematic) * _FAR_CORRELATION
+        pace = PACE if len(self.postures) else 1.0
+        return RevisitCorrelation(
+            postures=np.concatenate([self.postures, posture[None]])[-_REMEMBERED:],
+            ages_s=np.append(self.ages_s, 0.0)[-_REMEMBERED:],
+            independent=self.independent + novelty,
+            far_correlation=self.far_correlation + pace * (far - self.far_correlation),
+        )
+
+
+def no_revisits(readings: int) -> RevisitCorrelation:
+    """Start without past frames, for a number of readings."""
+    return RevisitCorrelation(np.empty((0, readings)), np.empty(0))
+
 
 def tukey_weights(y: Array) -> Array:
     """Compute the weights (N,) of Tukey's biweight for residuals (N,) [standard deviations]."""
@@ -105,57 +150,6 @@ def design_effect(
 def systematic_inflation(weights: Array, share: float) -> float:
     """Compute the inflation by systematic lens errors, a share of residuals with weights (N,)."""
     return share * float(weights.sum()) / _FIELD_PARTS
-
-
-def predict_revisits(revisits: RevisitCorrelation, elapsed_s: float) -> RevisitCorrelation:
-    """Let the correlation with past frames fade."""
-    independent = revisits.independent * float(np.exp(-elapsed_s / _FADING_S))
-    return replace(revisits, ages_s=revisits.ages_s + elapsed_s, independent=independent)
-
-
-def frame_novelty(revisits: RevisitCorrelation | None, posture: Array) -> float:
-    """Compute how many independent frames a frame at a posture (r,) [rad] adds, from 0 to 1.
-
-    The mean of frames with correlated errors (covariance K) has the information of 1' K^-1 1
-    independent ones; a frame adds the difference.
-    """
-    if revisits is None:
-        return 1.0
-    nearest = np.argsort(np.linalg.norm(revisits.postures - posture, axis=1))[:_NEAREST]
-    postures, ages_s = revisits.postures[nearest], revisits.ages_s[nearest]
-    between_s = np.abs(ages_s[:, None] - ages_s)
-    K = _correlation(postures[:, None] - postures, between_s)
-    K[np.diag_indices(len(K))] = 1.0
-    k = _correlation(postures - posture, ages_s)
-    weights = np.linalg.solve(K, k)
-    return float(max(1 - weights.sum(), 1e-3) ** 2 / (1 - weights @ k))
-
-
-def revisit_inflation(revisits: RevisitCorrelation | None, novelty: float) -> float:
-    """Compute the covariance inflation of a frame of a `frame_novelty`.
-
-    Frames equivalent to n independent ones have the information of n / (1 + c (n - 1)), where c is
-    the far correlation; a frame adds the difference.
-    """
-    if revisits is None:
-        return 1.0
-    n, c = revisits.independent, revisits.far_correlation
-    return (1 + c * (n - 1)) * (1 + c * (n + novelty - 1)) / (novelty * (1 - c))
-
-
-def update_revisits(
-    revisits: RevisitCorrelation | None, posture: Array, *, novelty: float, systematic: float = 0.0
-) -> RevisitCorrelation:
-    """Add a frame at a posture (r,) [rad], with a systematic share of its variance."""
-    far = systematic + (1 - systematic) * _FAR_CORRELATION
-    if revisits is None:
-        return RevisitCorrelation(posture[None], np.zeros(1), 1.0, far)
-    return RevisitCorrelation(
-        postures=np.concatenate([revisits.postures, posture[None]])[-_REMEMBERED:],
-        ages_s=np.append(revisits.ages_s, 0.0)[-_REMEMBERED:],
-        independent=revisits.independent + novelty,
-        far_correlation=revisits.far_correlation + PACE * (far - revisits.far_correlation),
-    )
 
 
 def _correlation(between_postures: Array, elapsed_s: Array) -> Array:

@@ -38,6 +38,7 @@ from vergence.geometry.kinematics import EYES, straight_gaze
 from vergence.geometry.lens import COEFFICIENTS, PINHOLE
 from vergence.geometry.parameters import is_gain, parameter_values, redundant_offsets
 from vergence.geometry.se3 import POSE
+from vergence.self_calibration.match_noise import no_revisits
 from vergence.self_calibration.residuals import epipolar_residuals, pair_coordinates
 from vergence.self_calibration.state import FilterState
 
@@ -180,6 +181,7 @@ def initial_state(
         prior_covariance=C,
         reading_std=rms,
         noise_ratios=stds / rms / factors,
+        revisits=no_revisits(len(factors)),
         systematic_px=(systematic.get(pair[0], 0.0), systematic.get(pair[1], 0.0)),
     )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -128,8 +128,7 @@ def self_calibrate(
     Args:
         dataset: images and joint readings, of another recording than that of the calibration.
         head: the calibration.
-        changed: what may have changed since the calibration: "nothing" if the images were taken
-            right after it, "little", or "anything" after a repair, which voids its covariance.
+        changed: what may have changed since the calibration, see `prior.Changed`.
         progress: is called after each frame.
 
     Raises:
@@ -151,42 +150,26 @@ def self_calibrate(
         frame = both.frame(int(row))
         geometry = update_geometry(geometry, frame)
         seen += geometry.latest is not None and geometry.latest.status == "seen"
-        findings += _change_findings(geometry.state, frame.time_s - dataset.time_s[0])
+        if geometry.state.change:
+            findings.append(_change_finding(geometry.state, frame.time_s - dataset.time_s[0]))
         progress(task, done, len(rows))
     state = geometry.state
-    parameters = _learned_parameters(before, state)
-    if not findings:
-        findings += _unexpected_findings(parameters)
-    joints = both.joints[rows] * head.kinematics.gear_ratios
-    moved = bool(np.abs(joints - joints[0]).max() >= MOVED_RAD)
-    findings += _frame_findings(head, len(rows), seen)
-    if not state.frames:
-        reason = (
-            "No frame after the first showed enough of the scene to both eyes where the "
-            "calibration expects it"
-            if moved
-            else "The eyes did not move, so that nothing that persists can be told from errors of "
-            "the readings"
-        )
-        sentence = f"{reason}: the calibration is returned as it was."
-        findings.append(warning("nothing-learned", sentence))
-    return SelfCalibrationResult(
+    changes = change_between(state.head, before.head, before.names).tolist()
+    stds = (np.sqrt(np.diag(each.covariance)).tolist() for each in (before, state))
+    found = SelfCalibrationResult(
         head=learned_head(state) if state.frames else head,
-        parameters=parameters,
+        parameters=tuple(map(LearnedParameter, before.names, changes, *stds)),
         frames=len(rows),
         seen=seen,
         learned=state.frames,
         depth_std_m=_depth_stds(before, state),
         reading_std=state.reading_std,
         changed=changed,
-        findings=by_severity(findings),
+        findings=tuple(findings),
     )
-
-
-def _learned_parameters(before: FilterState, after: FilterState) -> tuple[LearnedParameter, ...]:
-    changes = change_between(after.head, before.head, before.names).tolist()
-    stds = (np.sqrt(np.diag(state.covariance)).tolist() for state in (before, after))
-    return tuple(LearnedParameter(*each) for each in zip(before.names, changes, *stds, strict=True))
+    joints = both.joints[rows] * head.kinematics.gear_ratios
+    moved = bool(np.abs(joints - joints[0]).max() >= MOVED_RAD)
+    return replace(found, findings=by_severity([*findings, *_doubts(found, head, moved)]))
 
 
 def _depth_stds(before: FilterState, after: FilterState) -> tuple[float, float] | None:
@@ -201,37 +184,24 @@ def _depth_stds(before: FilterState, after: FilterState) -> tuple[float, float] 
     return stds[0], stds[1]
 
 
-def _change_findings(state: FilterState, time_s: float) -> list[Finding]:
+def _change_finding(state: FilterState, time_s: float) -> Finding:
     """Report the change that the last update detected, at a time after the first row."""
     when = f"{time_s:.1f} s after the first row"
     if state.change == "camera turned":
         sentence = (
             f"A camera turned, at the latest {when}; the images do not tell which of the two."
         )
-        return [warning("camera-turned", sentence, when)]
-    if state.change == "head uncalibrated":
-        sentence = (
-            "The head is farther from its calibration than the stated covariance allows, as the "
-            f"images showed {when}: it was learned anew, from the tolerances of a head that is "
-            "known from its drawing only."
-        )
-        return [warning("not-as-calibrated", sentence, when)]
-    return []
-
-
-def _unexpected_findings(parameters: tuple[LearnedParameter, ...]) -> list[Finding]:
-    names = [p.name for p in parameters if abs(p.change) > _UNEXPECTED * p.prior_std]
-    if not names:
-        return []
+        return warning("camera-turned", sentence, when)
     sentence = (
-        f"{listed(names)} changed by more than {_UNEXPECTED:g} prior standard deviations: "
-        "something was moved, exchanged or adjusted since the calibration. If it was repaired, "
-        "`--changed anything` drops the accuracy that the calibration states."
+        "The head is farther from its calibration than the stated covariance allows, as the images "
+        f"showed {when}: it was learned anew, from the tolerances of a head that is known from its "
+        "drawing only."
     )
-    return [warning("parameters-changed", sentence, ", ".join(names))]
+    return warning("not-as-calibrated", sentence, when)
 
 
-def _frame_findings(head: HeadCalibration, frames: int, seen: int) -> list[Finding]:
+def _doubts(found: SelfCalibrationResult, head: HeadCalibration, moved: bool) -> list[Finding]:
+    """Report what limits the result of a calibration, and whether the eyes moved."""
     findings = []
     if not states_covariance(head):
         sentence = (
@@ -239,10 +209,22 @@ def _frame_findings(head: HeadCalibration, frames: int, seen: int) -> list[Findi
             "assumed in its place."
         )
         findings.append(warning("no-covariance", sentence))
-    if seen == 0:
+    names = [p.name for p in found.parameters if abs(p.change) > _UNEXPECTED * p.prior_std]
+    if names and not found.findings:
         sentence = (
-            "No frame agrees with the calibration: it may be of another head, or images and "
-            "readings are not of the same moments. In all of them the prior stands."
+            f"{listed(names)} changed by more than {_UNEXPECTED:g} prior standard deviations: "
+            "something was moved, exchanged or adjusted since the calibration. If it was repaired, "
+            "`--changed anything` drops the accuracy that the calibration states."
         )
-        findings.append(warning("no-frame-agrees", sentence))
+        findings.append(warning("parameters-changed", sentence, ", ".join(names)))
+    if not found.learned:
+        reason = (
+            "No frame after the first showed enough of the scene to both eyes where the "
+            "calibration expects it, which may be of another head"
+            if moved
+            else "The eyes did not move, so that nothing that persists can be told from errors of "
+            "the readings"
+        )
+        sentence = f"{reason}: the calibration is returned as it was."
+        findings.append(warning("nothing-learned", sentence))
     return findings

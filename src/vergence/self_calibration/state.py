@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from vergence.arrays import Array
 from vergence.geometry.head import HeadCalibration
@@ -41,6 +42,8 @@ class FilterState:
     """Noise of the readings times their gear factors, rms over the readings."""
     noise_ratios: Array
     """(r,) standard deviation of each reading over `reading_std`, as calibrated; constant."""
+    revisits: RevisitCorrelation
+    """Correlation of match errors with those of earlier frames."""
     systematic_px: tuple[float, float] = (0.0, 0.0)
     """Systematic error of each lens, rms of one coordinate, from `Accuracy.systematic_px`."""
     match_scale: float = 1.3
@@ -49,8 +52,6 @@ class FilterState:
     design_effect: float = 2.0
     """Variance inflation by errors that neighbouring matches share; 1.1 to 1.8 in a furnished room,
     more with fewer and longer edges."""
-    revisits: RevisitCorrelation | None = None
-    """Correlation of match errors with those of earlier frames; None before the first update."""
     joint_weight: float = 5.0
     """Number of readings from which `reading_std` was estimated; the prior counts for five."""
     frames: int = 0
@@ -70,6 +71,15 @@ class FilterState:
     def reading_std_rad(self) -> Array:
         """(r,) noise of each reading."""
         return self.reading_std * self.noise_ratios
+
+    def largest_turn_rad(self, readings: Array, others: Array) -> float:
+        """Compute the largest turn of a joint between two readings (r,) [rad]."""
+        return float(np.abs(self.head.kinematics.gear_ratios * (readings - others)).max())
+
+    @property
+    def frame_covariance(self) -> Array:
+        """(P + r, P + r) prior covariance of head and readings in a frame."""
+        return np.asarray(block_diag(self.covariance, np.diag(self.reading_std_rad**2)), float)
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,11 +176,3 @@ class TrackedFeatures:
     """Pixels at the keyframe and now, in the left and in the right camera."""
     depths_m: tuple[Array, Array]
     """(N,) at the keyframe, along the optical axes."""
-
-
-def frame_covariance(state: FilterState) -> Array:
-    """Assemble the prior covariance (P + r, P + r) of head and readings in a frame."""
-    P, stds = len(state.names), state.reading_std_rad
-    C = np.zeros(2 * (P + len(stds),))
-    C[:P, :P], C[P:, P:] = state.covariance, np.diag(stds**2)
-    return C

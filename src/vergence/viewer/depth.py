@@ -10,10 +10,10 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from vergence.data.dataset import Frame
 from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.projection import eye_pose_in_left_base
-from vergence.self_calibration.dense_pairs import StereoImages
 from vergence.stereo.dense_depth import DenseDepth, point_cloud
 from vergence.stereo.rectification import RectifiedPair, rectified_image
 from vergence.viewer.layouts import playing, report_view, view_3d
@@ -52,16 +52,16 @@ def log_depth(
     rec: rr.RecordingStream,
     *,
     index: int,
-    moment: StereoImages,
+    frame: Frame,
     pair: RectifiedPair,
     found: DenseDepth,
 ) -> None:
     """Record one pair, its depth, and the eyes as the pair was rectified."""
-    set_time(rec, moment.time_s, index)
+    set_time(rec, frame.time_s, index)
     for eye, T in zip(EYES, eye_poses(pair.head, pair.joints), strict=True):
         rec.log(f"world/{eye}_eye", placed(eye_pose_in_left_base(eye, pair.head.T_rbase_lbase, T)))
     log_image(rec, "rectified/left", found.image)
-    log_image(rec, "rectified/right", rectified_image(pair.right, moment.right))
+    log_image(rec, "rectified/right", rectified_image(pair.right, frame.images[pair.cameras[1]]))
     std_m = np.where(np.isfinite(found.depth_m), found.std_m, np.nan)
     for name, values, unit in (
         ("disparity", 16 * found.disparity_px, 16.0),
