@@ -117,13 +117,13 @@ def test_a_sweep_that_was_stopped_goes_on_without_doing_finished_work_again(
         sweep(SMALL, tmp_path)
     said = "2 of 4 parts finished; the same command goes on from there"
     assert stop.value.__notes__ == [said]
-    kept = sorted(tmp_path.glob("*.npy"))
+    kept = sorted(tmp_path.glob("*.f64"))
     assert len(kept) == 2
     kept[0].write_bytes(kept[0].read_bytes()[:100])  # as no write of ours leaves a file
     other = tmp_path / "other"
     other.mkdir()
     for file in kept:
-        np.save(other / file.name, np.zeros(3))
+        (other / file.name).write_bytes(bytes(24))
 
     def counted(chunk: DesignSettings) -> Array:
         computed.append(chunk)
@@ -150,21 +150,16 @@ def test_parts_that_other_code_has_computed_are_computed_again(monkeypatch):
     assert command.digest(first) != before
 
 
-@pytest.mark.parametrize("kind", ["text", "complex", "too long", "pipe", "archive"])
-def test_finished_work_that_is_no_array_of_floats_is_computed_again(kind: str, tmp_path: Path):
-    file, numbers = tmp_path / "chunk.npy", np.arange(6.0).reshape(2, 3)
-    np.save(file, numbers)
+@pytest.mark.parametrize("kind", ["too short", "too long", "pipe"])
+def test_finished_work_of_another_size_is_computed_again(kind: str, tmp_path: Path):
+    file, numbers = tmp_path / "chunk.f64", np.arange(6.0).reshape(2, 3)
+    file.write_bytes(numbers.tobytes())
     np.testing.assert_array_equal(command.read_chunk(file, (2, 3)), numbers)
     if kind == "pipe":
         file.unlink()
         os.mkfifo(file)
-    elif kind == "too long":
-        file.write_bytes(file.read_bytes() + bytes(10_000))
-    elif kind == "archive":
-        with file.open("wb") as opened:
-            np.savez(opened, numbers)
     else:
-        np.save(file, numbers.astype(str if kind == "text" else complex))
+        file.write_bytes(bytes(8 if kind == "too short" else 56))
     assert command.read_chunk(file, (2, 3)) is None
 
 

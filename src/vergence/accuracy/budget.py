@@ -31,9 +31,7 @@ from vergence.geometry.kinematics import EYE_JOINTS
 from vergence.geometry.parameters import is_gain, named_columns
 from vergence.geometry.projection import project_point
 from vergence.stereo.linearised import (
-    Linearised,
     by_head_parameters,
-    by_noise,
     covariance_factor,
     linearised,
     pair_parameters,
@@ -125,29 +123,27 @@ def budget(
     Raises:
         VergenceError: a camera or parameter is unknown, or a point is not seen during the motion.
     """
+    for each in sources:
+        named_columns(head, tuple(each.errors))  # VergenceError: an unknown name
     return [_budget(head, point, joints, rates, sources) for point in points]
 
 
 def _budget(
-    head: HeadCalibration,
-    point: Array,
-    joints: Array,
-    rates: Array,
-    sources: Sequence[Source],
+    head: HeadCalibration, point: Array, joints: Array, rates: Array, sources: Sequence[Source]
 ) -> Budget:
     seen, kept = _samples(head, point, joints)
     located, names = linearised(seen), (*pair_parameters(head, seen.cameras), TIME_OFFSET)
     by_time = located.by_readings @ rates[kept][..., None]
     by_head = np.concatenate([by_head_parameters(located, seen), by_time], axis=2)
     by_head = np.moveaxis(by_head, 0, -1)
-    white = {each.name: _white(located, seen, each) for each in sources if not each.errors}
-    known: dict[str, Array] = {}
+    white, known, zero = {}, {}, np.zeros((3, 1, len(kept)))
     for each in sources:
         if each.errors:
-            named_columns(head, tuple(each.errors))  # VergenceError: an unknown name
             sizes = np.array([each.errors.get(name, 0.0) for name in names])
             known[each.name] = (by_head.swapaxes(1, 2) @ sizes)[:, None]
-    zero = np.zeros((3, 1, len(kept)))
+        else:
+            noise = located.by_pixels * each.pixel_std_px, located.by_readings * each.reading_std
+            white[each.name] = sum((c**2).sum(axis=2).mean(axis=0) for c in noise)
     groups = _by_group(head, names, by_head)
     calibration, together = groups.pop(CALIBRATION, zero), sum(known.values(), zero)
     parts = [Part(name, np.sqrt(variance), np.zeros(3)) for name, variance in white.items()]
@@ -192,20 +188,6 @@ def _samples(head: HeadCalibration, point: Array, joints: Array) -> tuple[Sighti
         head, left=left, right=right, joints=joints[kept], cameras=pair, pixel_std_px=1.0
     )
     return seen, kept
-
-
-def _white(located: Linearised, seen: Sightings, source: Source) -> Array:
-    """Compute the variance (3,) [m^2] by white noise, in the mean over the motion."""
-    noisy = sightings(
-        seen.head,
-        left=seen.left,
-        right=seen.right,
-        joints=seen.joints,
-        cameras=seen.cameras,
-        pixel_std_px=source.pixel_std_px,
-        reading_std=source.reading_std,
-    )
-    return sum(((c**2).sum(axis=2).mean(axis=0) for c in by_noise(located, noisy)), np.zeros(3))
 
 
 def _by_group(head: HeadCalibration, names: tuple[str, ...], by_head: Array) -> dict[str, Array]:
@@ -263,17 +245,11 @@ def stated_sources(head: HeadCalibration, pixel_std_px: float | None) -> list[So
 def motion_budgets(
     head: HeadCalibration, points: Array, *, motion: str, sources: Sequence[Source]
 ) -> MotionBudgets:
-    """Compute the budgets of points (K, 3) [m], given in the left eye's base frame.
+    """Compute the budgets of points (K, 3) [m] in the left eye's base frame; see `budget`.
 
-    Args:
-        head: its stated covariance is a source of errors, too.
-        points: (K, 3) [m].
-        motion: parallel, divergent, or the folder of a dataset.
-        sources: further errors.
-
-    Raises:
-        VergenceError: there is no source, a point is not seen, the motion does not exist for this
-            head, or the head was calibrated with measured poses.
+    The motion is parallel, divergent, or the folder of a dataset. VergenceError also if there is
+    no source, the motion does not exist for this head, or the head was calibrated with measured
+    poses.
     """
     if head.accuracy is not None and head.accuracy.eye_motion == "poses":
         raise VergenceError(
@@ -285,16 +261,14 @@ def motion_budgets(
             "A budget needs sources of errors: give a calibration that states its accuracy, an "
             "error profile (--profile paper), or --noise in pixels."
         )
-    names = dict.fromkeys((motion, "parallel"))
-    if (readings := head.kinematics.readings) != EYE_JOINTS:
-        if motion in PERIOD_S:
-            raise VergenceError(
-                f"The motion {motion!r} is of the readings {', '.join(EYE_JOINTS)}; this head has "
-                f"{', '.join(readings)}. Give the folder of a dataset of this head as --motion."
-            )
-        del names["parallel"]
+    readings = head.kinematics.readings
+    if motion in PERIOD_S and readings != EYE_JOINTS:
+        raise VergenceError(
+            f"The motion {motion!r} is of the readings {', '.join(EYE_JOINTS)}; this head has "
+            f"{', '.join(readings)}. Give the folder of a dataset of this head as --motion."
+        )
     found: dict[str, list[Budget]] = {}
-    for name in names:
+    for name in (motion, "parallel")[: 2 if readings == EYE_JOINTS else 1]:
         joints, rates = motion_of(name, head)
         found[name] = budget(head, points, joints=joints, rates=rates, sources=sources)
     return MotionBudgets(motion, found[motion], found.get("parallel"))

@@ -10,11 +10,9 @@ for pixel noise s [px], joint noise j [rad], eyes that turn with rms speed w [ra
 and readings a time t late. rho is the correlation of the two eyes' speeds: 1 if they turn together,
 -1 if one does the opposite of the other. V is the number of views that the head is calibrated with.
 
-S_calibration is that of a standard recording, in the proportions that docs/calibrate.md advises:
-boards at eight places near the head, which both eyes see at straight gaze, and one board at rest
-that they see from 16 directions of gaze. They fill half to three quarters of the images' height
-whatever the lens. Its information is that of bundle adjustment. Focal lengths, image centres,
-mountings, gains and axes are estimated, distortion is taken as known.
+S_calibration is the covariance by bundle adjustment of a `standard_recording`: boards at eight
+places at straight gaze, and one board at rest from 16 directions of gaze. Distortion is taken as
+known.
 """
 
 from __future__ import annotations

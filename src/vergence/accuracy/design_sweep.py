@@ -8,12 +8,10 @@ from __future__ import annotations
 
 import hashlib
 import math
-import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, partial
-from io import BytesIO
 from pathlib import Path
 
 import joblib
@@ -148,8 +146,7 @@ def cheapest(
 ) -> list[tuple[int, ...]]:
     """Find the places in the sweep's arrays of the cheapest designs that are accurate enough.
 
-    Of equal cost the more accurate one comes first. Empty if no design is as accurate at that
-    distance, which is one of the sweep's.
+    Of equal cost the more accurate one comes first. The distance is one of the sweep's.
     """
     worst = at_distance(sweep, distance_m).ravel()
     good = np.flatnonzero(worst <= accuracy_m)
@@ -201,8 +198,6 @@ def by_source(settings: DesignSettings, values: dict[str, float], points: Array)
 
 TIMEOUT_S = 10
 """Time [s] within which the scheduler of a cluster must answer."""
-HEADER_BYTES = 1024
-"""Largest header of a .npy file [bytes]; numpy writes 128."""
 
 
 def sweep(
@@ -215,7 +210,7 @@ def sweep(
 ) -> Sweep:
     """Sweep designs: read finished chunks from a folder, and write the others there."""
     each = list(chunks(settings))
-    files = [folder / f"{digest(chunk)}.npy" for chunk in each]
+    files = [folder / f"{digest(chunk)}.f64" for chunk in each]
     kept = [read_chunk(file, chunk_shape(chunk)) for file, chunk in zip(files, each, strict=True)]
     found = {k: values for k, values in enumerate(kept) if values is not None}
     missing = [(k, each[k]) for k in range(len(each)) if k not in found]
@@ -223,8 +218,8 @@ def sweep(
 
     def keep(result: tuple[int, Array]) -> None:
         k, values = result
-        with whole_file(files[k]) as part, part.open("wb") as file:
-            np.save(file, values)
+        with whole_file(files[k]) as part:
+            part.write_bytes(values.tobytes())
         found[k] = values
         progress("sweeping designs", len(found), len(each))
 
@@ -255,14 +250,11 @@ def _code() -> str:
 
 
 def read_chunk(file: Path, shape: tuple[int, ...]) -> Array | None:
-    """Read a finished chunk; None if the file has no floats of this shape."""
+    """Read a finished chunk; None if the file has another size, or cannot be read."""
     try:
-        content = read_bytes(file, HEADER_BYTES + 8 * math.prod(shape))
-        values = np.load(BytesIO(content), allow_pickle=False)
-    except (VergenceError, ValueError, EOFError, MemoryError, zipfile.BadZipFile):
+        return np.frombuffer(read_bytes(file, 8 * math.prod(shape))).reshape(shape)
+    except (VergenceError, ValueError):
         return None
-    right = isinstance(values, np.ndarray) and (values.dtype, values.shape) == (np.float64, shape)
-    return values if right else None
 
 
 def _numbered(k: int, chunk: DesignSettings, progress: Progress) -> tuple[int, Array]:

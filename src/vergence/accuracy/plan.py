@@ -196,7 +196,15 @@ def head_and_board(
 
     VergenceError if the source is neither, its calibration is void, or nothing can be planned.
     """
-    shown = None if board is None else _chessboard(*board)
+    shown = None
+    if board is not None:
+        columns, rows, square_m = board
+        if min(columns, rows) < 3 or max(columns, rows) > 100 or not 0 < square_m <= MAX_SQUARE_M:
+            raise VergenceError(
+                "--board takes 3 to 100 inner corners each way and the side of a square up to 1 m, "
+                f"found {columns} {rows} {square_m:g}."
+            )
+        shown = Chessboard(columns, rows, square_m)
     if os.path.isdir(source):
         data = load_dataset(source)
         largest_readings(data.description.head_kinematics, limits_rad)
@@ -211,12 +219,3 @@ def head_and_board(
             "SQUARE_M, such as --board 9 6 0.03, or name the folder of the dataset."
         )
     return head, shown
-
-
-def _chessboard(columns: int, rows: int, square_m: float) -> Chessboard:
-    if min(columns, rows) < 3 or max(columns, rows) > 100 or not 0 < square_m <= MAX_SQUARE_M:
-        raise VergenceError(
-            "--board takes 3 to 100 inner corners each way and the side of a square up to 1 m, "
-            f"found {columns} {rows} {square_m:g}."
-        )
-    return Chessboard(columns, rows, square_m)

@@ -1,8 +1,7 @@
 """Information of views of a board about a head: that of bundle adjustment, view by view.
 
-The derivatives are those of bundle adjustment, at the calibrated head and at corners as such views
-would show them. The latent readings of each eye belong to one view and are marginalised at once;
-the place of the board only when it is known which views share it.
+The latent readings of each eye belong to one view and are marginalised at once; the place of the
+board only when it is known which views share it.
 """
 
 from __future__ import annotations
@@ -32,8 +31,7 @@ from vergence.stereo.linearised import by_head_parameters, linearised, pair_para
 from vergence.stereo.sightings import sightings
 
 CORNERS_AT_A_TIME = 20_000
-"""Number of corners that are linearised together: their derivatives take 50 MB for each camera, and
-those of all views of a board of 10,000 corners gigabytes."""
+"""Number of corners that are linearised together: their derivatives take 50 MB for each camera."""
 
 
 @dataclass(frozen=True, eq=False)
