@@ -14,7 +14,6 @@ from pydantic import ValidationError
 from simulated_head import random_camera
 from vergence.geometry.camera import (
     Camera,
-    half_size,
     normalise,
     pinhole,
     project,
@@ -37,16 +36,6 @@ def test_a_pixel_is_the_intrinsic_matrix_times_the_point_up_to_scale(seed: int):
     corrected = undistort(camera, project(camera, points))
     homogeneous = points @ camera.matrix.T
     np.testing.assert_allclose(corrected, homogeneous[:, :2] / homogeneous[:, 2:], atol=1e-9)
-
-
-@given(seeds)
-def test_a_pixel_of_half_the_size_is_the_mean_of_four(seed: int):
-    rng = np.random.default_rng(seed)
-    camera = random_camera(rng)
-    point = project(camera, rng.uniform([-0.6, -0.5, 0.8], [0.6, 0.5, 2.0]))
-    ray = np.append(normalise(camera, point), 1.0)
-    # The four pixels 0 and 1 have their middle at 1/2, that of the pixel 0 of half the size.
-    np.testing.assert_allclose(2 * project(half_size(camera), ray) + 0.5, point, atol=1e-9)
 
 
 def test_equation_1_holds_for_corrected_pixels_only():

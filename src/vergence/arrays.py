@@ -55,26 +55,27 @@ MAX_M = 1e6
 """Largest coordinate of a translation or a point [m]; far larger ones overflow."""
 
 
-def _rigid(array: Array) -> Array:
-    """Check that a (4, 4) array is a rigid transform in metres; ValueError otherwise."""
-    R = array[:3, :3]
-    handed = np.linalg.det(R)
-    if np.abs(R).max() > 1.1 or np.abs(R @ R.T - np.eye(3)).max() > 2e-6 or handed < 0:
+def rigid(T: Array) -> Array:
+    """Check that arrays (..., 4, 4) are rigid transforms in metres; ValueError otherwise."""
+    R, t = T[..., :3, :3], T[..., :3, 3]
+    handed = np.linalg.det(R).min(initial=1)
+    off = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max(initial=0)
+    if off > 2e-6 or handed < 0:
         problem = "left-handed axes or" if handed < 0 else "a quaternion that is not normalised, or"
         raise ValueError(
             f"expected a rigid transform, found {problem} a rotation part that is not a rotation"
         )
-    if np.abs(array[:3, 3]).max() > MAX_M:
-        raise ValueError(f"expected a translation in metres, found {array[:3, 3].tolist()}")
-    if np.abs(array[3] - [0, 0, 0, 1]).max() > 1e-9:
-        raise ValueError(f"expected a last row of 0 0 0 1, found {array[3].tolist()}")
-    return array
+    if (largest := np.abs(t).max(initial=0)) > MAX_M:
+        raise ValueError(f"expected a translation in metres, found {largest:g}")
+    if np.abs(T[..., 3, :] - [0, 0, 0, 1]).max(initial=0) > 1e-9:
+        raise ValueError("expected a last row of 0 0 0 1")
+    return T
 
 
 _validate44, _serialise = _shaped(4, 4)
 Transform = Annotated[
     Array,
-    PlainValidator(lambda value: _rigid(_validate44.func(value))),  # pyright: ignore
+    PlainValidator(lambda value: rigid(_validate44.func(value))),  # pyright: ignore
     _serialise,
 ]
 """A (4, 4) rigid transform."""

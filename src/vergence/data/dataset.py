@@ -7,9 +7,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property
 from io import BytesIO
 from pathlib import Path
 
@@ -27,8 +25,6 @@ MAX_IMAGE_BYTES = 256 * 2**20
 """Largest image file; 50 million pixels of 16 bits in three colours have 300 MB unpacked."""
 IMAGE_FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "PPM", "WEBP")
 UNREADABLE = f"is not a readable image ({', '.join(IMAGE_FORMATS)}), or far too large"
-BRIGHTEST_OF = 12
-"""Number of images from which the bits of a camera are estimated; more take longer to read."""
 MAX_GAP_S = 0.2
 """Longest time [s] between successive rows of one motion; six images at 30 Hz."""
 LEAST_MOVING = 3
@@ -107,32 +103,8 @@ class Dataset:
         image = self._decoded(camera, row)
         if image is None or image.dtype == np.uint8:
             return image
-        if camera not in self._bits:
-            self._bits[camera] = self._filled_bits(camera, image)
-        return np.minimum(image >> (self._bits[camera] - 8), 255).astype(np.uint8)
-
-    @cached_property
-    def _bits(self) -> dict[str, int]:
-        """Bits that each camera fills, a cache."""
-        return {}
-
-    def _filled_bits(self, camera: str, image: np.ndarray) -> int:
-        """Estimate the bits, 8 to 16, that a camera fills, unless they are stated.
-
-        The brightest image counts. Images over the whole recording are read, since the first may
-        be dark.
-        """
-        stated = self.description.cameras[camera].bits
-        if stated is not None:
-            return stated
-        rows = [k for k, name in enumerate(self.files[camera]) if name is not None]
-        brightest = int(image.max())
-        for k in rows[:: 1 + len(rows) // BRIGHTEST_OF]:
-            with suppress(VergenceError):  # raised when that row is read
-                other = self._decoded(camera, k)
-                if other is not None and other.dtype != np.uint8:
-                    brightest = max(brightest, int(other.max()))
-        return max(8, -(-brightest.bit_length() // 2) * 2)
+        bits = self.description.cameras[camera].bits or max(8, int(image.max()).bit_length())
+        return np.minimum(image >> (bits - 8), 255).astype(np.uint8)
 
     def _decoded(self, camera: str, row: int) -> np.ndarray | None:
         """Decode an image (H, W, 3), uint8 or uint16; None if missing or damaged."""

@@ -42,7 +42,7 @@ class DatasetCamera:
     intrinsics: Camera | None = None
     """Known intrinsics for other programs; calibration does not use them."""
     bits: Annotated[int, Field(ge=8, le=16)] | None = None
-    """Bits that the camera fills in images of 16 bits; None: estimated from the images."""
+    """Bits that 16-bit images of the camera fill; None: those of the image's brightest pixel."""
 
 
 @dataclass(frozen=True, eq=False, config=_STRICT)

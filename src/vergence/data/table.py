@@ -14,9 +14,8 @@ from math import nan
 from pathlib import Path
 
 import numpy as np
-from pydantic import TypeAdapter, ValidationError
 
-from vergence.arrays import Array, Transform
+from vergence.arrays import Array
 from vergence.data.description import (
     JOINT_TIME,
     MOVING,
@@ -29,6 +28,7 @@ from vergence.errors import VergenceError, counted, explain
 from vergence.files import MAX_DIGITS, read_bytes
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.neck import NECK_JOINTS
+from vergence.geometry.se3 import check_rigid
 
 MAX_DELAY_S = 1.0
 """Largest time between an image and its joint reading [s]; more means that the clocks differ."""
@@ -96,7 +96,7 @@ def read_table(path: Path, description: Description) -> Table:
     rows: dict[int, list[str]] = {}
     try:
         reader = csv.reader(StringIO(content.decode("utf-8-sig"), newline=""), strict=True)
-        header = [" ".join(name.split()) for name in next(reader, [])]
+        header = [" ".join(name.split()) for name in next(reader, [""])]
         for cells in reader:
             stripped = [*map(str.strip, cells)]
             if any(stripped):
@@ -105,10 +105,6 @@ def read_table(path: Path, description: Description) -> Table:
                 raise ValueError(f"it has more than {MAX_COLUMNS} columns or {MAX_ROWS} rows")
     except (csv.Error, ValueError) as error:  # ValueError: also for text that is not UTF-8
         raise VergenceError(f"{path} is not a CSV file of frames: {explain(error)}.") from None
-    if not any(header):
-        raise VergenceError(f"{path} is empty; its first line names the columns.")
-    if len(header) == 1 and ";" in header[0]:
-        raise VergenceError(f"{path} is separated by semicolons; use commas.")
     name, uses = Counter(header).most_common(1)[0]
     if uses > 1:
         raise VergenceError(f"{path}: the column {name!r} is repeated.")
@@ -118,19 +114,12 @@ def read_table(path: Path, description: Description) -> Table:
                 f"{path}, line {line}: found {counted(len(cells), 'field')} for "
                 f"{counted(len(header), 'column')}."
             )
-    if not rows:
-        raise VergenceError(f"{path} has no frames, only a header.")
-    _check_columns(path, header, description)
-    columns = zip(*rows.values(), strict=True)
-    return Table(path, tuple(rows), dict(zip(header, columns, strict=True)))
-
-
-def _check_columns(path: Path, header: list[str], description: Description) -> None:
     known = description.columns
     for name in known:
         if name not in header and name != MOVING:
             raise VergenceError(
-                f"{path}: the column {name!r} is missing; found {', '.join(header):.1000}."
+                f"{path}: the column {name!r} is missing; found {', '.join(header):.1000}. Columns "
+                "are named in the first line and separated by commas."
             )
     for name in header:
         if name not in known and not name.startswith("_"):
@@ -138,6 +127,10 @@ def _check_columns(path: Path, header: list[str], description: Description) -> N
                 f"{path}: the column {name!r} is not known; names of additional columns begin with "
                 "an underscore."
             )
+    if not rows:
+        raise VergenceError(f"{path} has no frames, only a header.")
+    columns = zip(*rows.values(), strict=True)
+    return Table(path, tuple(rows), dict(zip(header, columns, strict=True)))
 
 
 def time_stamps(table: Table) -> tuple[Array, Array]:
@@ -215,14 +208,10 @@ def placements(neck_angles: Array, table: Table) -> np.ndarray:
 
 def measured_eye_poses(description: Description, table: Table) -> Array:
     """Parse T_base_eye (N, 2, 4, 4); the identity for an eye without cameras."""
-    adapter = TypeAdapter(Transform)
     T = np.tile(np.eye(4), (len(table.lines), len(EYES), 1, 1))
     for eye in description.eyes:
         names = pose_columns(eye)
-        for k, pose in enumerate(table.numbers(names).reshape(-1, 4, 4)):
-            try:
-                T[k, EYES.index(eye)] = adapter.validate_python(pose)
-            except ValidationError as error:
-                where = f"{table.where(k)}: {names[0]} to {names[-1]}"
-                raise VergenceError(f"{where}: {explain(error)}.") from None
+        T[:, EYES.index(eye)] = table.numbers(names).reshape(-1, 4, 4)
+        for k, pose in enumerate(T[:, EYES.index(eye)]):
+            check_rigid(f"{table.where(k)}: {names[0]} to {names[-1]}", pose)
     return T

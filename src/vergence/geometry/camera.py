@@ -9,7 +9,7 @@ and beyond are not supported, whatever the lens. See docs/conventions.md.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import field, replace
+from dataclasses import field
 from functools import cached_property
 from numbers import Integral
 from typing import Annotated, Any
@@ -271,15 +271,6 @@ def pixel_area(camera: Camera, xy: Array) -> Array:
 def undistort(camera: Camera, pixels: Array) -> Array:
     """Correct pixels (..., 2) for distortion: those of Eqs. 1-4."""
     return normalise(camera, pixels) @ camera.matrix[:2, :2].T + camera.matrix[:2, 2]
-
-
-def half_size(camera: Camera) -> Camera:
-    """Make the camera of an image whose pixels are means of 2 x 2; an odd last one is lost."""
-    matrix = camera.matrix.copy()
-    matrix[:2] /= 2
-    matrix[:2, 2] -= 1 / 4  # (0, 0) is the middle of a pixel
-    width, height = camera.width // 2, camera.height // 2
-    return replace(camera, width=width, height=height, matrix=matrix)
 
 
 def pinhole(

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from vergence.arrays import Array, floats
+from vergence.arrays import Array, floats, rigid
 from vergence.errors import VergenceError
 from vergence.geometry.batches import batch_first, batch_last
 
@@ -119,16 +119,10 @@ def known_poses(T: Array) -> np.ndarray:
 
 def check_rigid(name: str, T: Array) -> None:
     """Raise a VergenceError if a finite one of poses (..., 4, 4) is not a rigid transform."""
-    known = T[known_poses(T)]
-    R = known[:, :3, :3]
-    off = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(initial=0)
-    last = np.abs(known[:, 3] - [0.0, 0.0, 0.0, 1.0]).max(initial=0)
-    if off > 1e-6 or last > 1e-9 or (np.linalg.det(R) < 0).any():
-        raise VergenceError(
-            f"{name} has a pose that is not rigid: its rotation part is no rotation, as of a "
-            "quaternion that is not of length 1 or of left-handed axes, or its last row is not "
-            "0 0 0 1."
-        )
+    try:
+        rigid(T[known_poses(T)])
+    except ValueError as error:
+        raise VergenceError(f"{name}: {error}.") from None
 
 
 def checked_points(points: ArrayLike, postures: tuple[int, ...] = ()) -> Array:

@@ -9,18 +9,8 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.geometry.board import Board, Charuco, Chessboard, opencv_board
-from vergence.vision.chessboard_checks import (
-    contrast,
-    goes_on,
-    is_chequered,
-    square_levels,
-)
-from vergence.vision.corner_refinement import (
-    HALF_WIDTH_PX,
-    adjacent_sides,
-    edge_distances,
-    refine_corners,
-)
+from vergence.vision.chessboard_checks import contrast, goes_on, is_chequered, square_levels
+from vergence.vision.corner_refinement import HALF_WIDTH_PX, edge_distances, refine_corners
 from vergence.vision.exposure import grey_levels
 from vergence.vision.marker_layout import contradicts, marker_pairs
 
@@ -32,11 +22,9 @@ share pixels: at 0.6 their errors correlate by 0.35 along a row."""
 def detect_board(image: np.ndarray, board: Board) -> Array | None:
     """Detect a board in an image (H, W) or (H, W, 3) uint8, RGB, and locate its inner corners.
 
-    A ChArUco board may be partly visible. A chessboard must be visible as a whole; its corners
-    without a clear saddle point become NaN. If one of a chessboard's corner counts is odd and the
-    other even, its two ends differ, and the square outside the first corner is black. Otherwise the
-    first corner is, of those that look the same, the one nearest to the image's upper left. (A
-    square board with an odd count has a black square outside two of its four corners.)
+    A ChArUco board may be partly visible, a chessboard must be visible as a whole. The square
+    outside a chessboard's first corner is black if only one of its corner counts is odd; of corners
+    that look the same, the first is the one nearest to the image's upper left.
 
     Returns pixels (rows * columns, 2) in the order of corner_points, NaN for corners that were not
     found; None where no board was detected.
@@ -125,13 +113,11 @@ def _detect_charuco(grey: np.ndarray, board: Charuco) -> Array | None:
     corners = np.full((board.rows * board.columns, 2), np.nan)
     corners[np.asarray(numbers, int).ravel()] = (np.reshape(found, (-1, 2)) + 0.5) / scale - 0.5
     grid = corners.reshape(board.rows, board.columns, 2)
-    # Without neighbours the length of a corner's strips is unknown.
-    isolated = ~np.any([np.isfinite(a + b).all(axis=-1) for a, b in adjacent_sides(grid)], axis=0)
-    grid[isolated] = np.nan
     # The strips stay in the white between an edge and the markers, away from the blur of both:
     # 2.4 px are 2.5 standard deviations of a sharp camera's blur and that of the refinement.
     margin = (1 - board.marker_m / board.square_m) / 2
-    distances = edge_distances(grid)
+    distances = edge_distances(grid)  # NaN without neighbours
+    grid[np.isnan(distances)] = np.nan
     half_widths = np.clip(margin * distances - 2.4, 0.8, HALF_WIDTH_PX)
     corners = refine_corners(grey, grid, CLEARANCE_FRACTION * distances, half_widths).reshape(-1, 2)
     return corners if np.isfinite(corners).any() else None

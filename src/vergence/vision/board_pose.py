@@ -110,32 +110,21 @@ _RELATIVE = "T_cam_reference"
 def board_poses(camera: Camera, corners: Array, points: Array) -> Array:
     """Fit T_cam_target (V, 4, 4) to each view; NaN where it is not determined.
 
-    Corners are pixels (V, K, 2), NaN where not seen, of points (K, 3) in frame target [m].
+    Corners are pixels (V, K, 2), NaN where not seen, of points (K, 3) in frame target [m]. The fit
+    to undistorted corners is refined by pixels, all views at once.
     """
-    if camera.model == "fisheye" or camera.matrix[0, 1]:
-        return _poses_by_directions(camera, corners, points)
+    xy = normalise(camera, corners)
     poses = np.full((len(corners), 4, 4), np.nan)
-    seen = seen_corners(corners)
+    seen = seen_corners(xy)
     for v in np.flatnonzero(determines_pose(points, seen)):
-        view = points[seen[v]], corners[v, seen[v]], camera.matrix, camera.distortion
+        view = points[seen[v]], xy[v, seen[v]], np.eye(3), np.zeros(4)
         found, rvec, tvec = cv2.solvePnP(*view, flags=cv2.SOLVEPNP_ITERATIVE)
         if found and (points[seen[v]] @ rotation(rvec.ravel())[2] + tvec[2] <= 0).any():
             # With few corners it may end behind the camera, from where this leads out again.
             rvec, tvec = cv2.solvePnPRefineLM(*view, rvec, tvec)
         if found:
             poses[v] = pose(rotation(rvec.ravel()), tvec.ravel())
-    return refined_poses(camera, corners, points, poses)[0]
-
-
-def _poses_by_directions(camera: Camera, corners: Array, points: Array) -> Array:
-    """Do what board_poses does for fisheye lenses and skew, which solvePnP does not know.
-
-    The poses by directions are the start; by pixels, all views at once, they are refined.
-    """
-    xy = normalise(camera, corners)
-    plain = Camera(camera.width, camera.height, np.eye(3))
-    poses = board_poses(plain, xy, points)
-    return refined_poses(camera, np.where(np.isfinite(xy), corners, np.nan), points, poses)[0]
+    return refined_poses(camera, np.where(seen[..., None], corners, np.nan), points, poses)[0]
 
 
 def board_latent(T_cam_target: Array) -> Latent:
@@ -144,11 +133,7 @@ def board_latent(T_cam_target: Array) -> Latent:
 
 
 def seen_from_the_other_side(T_cam_target: Array, points: Array) -> Array:
-    """Find the poses (V, 4, 4) with which small boards look almost the same.
-
-    The board is slanted the other way about its middle: seen along the line of sight, its normal is
-    the mirror image.
-    """
+    """Find the poses (V, 4, 4), slanted the other way, with which small boards look the same."""
     middle = points.mean(axis=0)
     R, centre = T_cam_target[:, :3, :3], T_cam_target[:, :3, :3] @ middle + T_cam_target[:, :3, 3]
     sight = centre / np.linalg.norm(centre, axis=-1, keepdims=True)
@@ -160,17 +145,10 @@ def seen_from_the_other_side(T_cam_target: Array, points: Array) -> Array:
 def board_errors(
     camera: Camera, T_cam_target: Array, corners: Array, points: Array
 ) -> tuple[Array, Array, Array]:
-    """Compute the errors of V views of a board, and their derivatives.
+    """Compute projected minus seen pixels (V, 2 K) of boards at poses (V, 4, 4).
 
-    Args:
-        camera: that saw the board.
-        T_cam_target: (V, 4, 4) poses of the board.
-        corners: (V, K, 2) pixels; NaN where a corner was not seen, whose rows are zero.
-        points: (K, 3) the board's corners in frame target.
-
-    Returns:
-        Predicted minus seen pixels (V, 2 K), and their derivatives by increments of the poses
-        (V, 2 K, 6) and by the n intrinsics (V, 2 K, n), in the order of `project_jacobians`.
+    Returns also their derivatives by increments of the poses (V, 2 K, 6) and by the n intrinsics
+    (V, 2 K, n). Rows of corners that were not seen are zero.
     """
     views = BoardViews(corners=corners, points=points)
     n = len(camera.distortion) + 4

@@ -44,8 +44,7 @@ def square_levels(grey: np.ndarray, grid: Array, at: tuple[float, float] = (0.5,
 def is_chequered(grey: np.ndarray, grid: Array) -> bool:
     """Check that the squares between corners (rows, columns, 2) [px] alternate in colour.
 
-    Those between every second corner do not alternate, and squares with markers do not in all
-    places. Only neighbours are compared, since the light may fall off over the board.
+    Only neighbours are compared, since the light may fall off over the board.
     """
     steps = np.array([_alternation(grey, grid, at) for at in product(_PLACES, _PLACES)])
     medians = np.median(steps, axis=1)

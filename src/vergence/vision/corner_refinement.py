@@ -1,10 +1,8 @@
 """Refine chessboard corners to subpixel accuracy: saddle points of the grey levels.
 
-The slightly blurred image has a saddle point at a corner. A quadratic fitted to the grey levels
-gives its stationary point (after Lucchese and Mitra, 2002). Two crossing edges have a half-turn
-symmetry from every viewpoint, so a sampled neighbourhood with the same symmetry gives no bias. Here
-it consists of two strips along the edges; pixels further away would add noise, or a marker. The
-strips are bent by the curvature of the grid of corners around them, for lens distortion.
+A quadratic fitted to the grey levels of the slightly blurred image gives the stationary point (by
+Lucchese and Mitra, 2002). Two crossing edges look the same after a half-turn, so a neighbourhood
+with this symmetry gives no bias: two strips along the edges, bent like the lines of the grid.
 """
 
 from __future__ import annotations
@@ -18,8 +16,7 @@ from vergence.arrays import Array
 LENGTHS_PX = 2, 10
 """Smallest and largest length of the strips to either side of a corner [px]."""
 HALF_WIDTH_PX = 2.0
-"""Half width of the strips [px]. On drawn boards with blur of 0.5 to 3 px it errs less than 3 and
-5, and about as 1, which is more sensitive to noise."""
+"""Half width of the strips [px]: on drawn boards 3 errs more, and 1 is more sensitive to noise."""
 _ALONG, _ASIDE = np.linspace(-1, 1, 15), np.linspace(-1, 1, 5)
 """Samples along and across a strip, over its length and its half width."""
 MAX_SHIFT_PX = 1.5
@@ -29,17 +26,12 @@ MAX_SHIFT_PX = 1.5
 def refine_corners(
     grey: np.ndarray, grid: Array, lengths_px: Array, half_widths_px: Array | float = HALF_WIDTH_PX
 ) -> Array:
-    """Move the corners of a board to the nearby saddle points of the grey levels.
+    """Move a board's corners (rows, columns, 2) [px] to nearby saddle points of the grey levels.
 
-    Args:
-        grey: (H, W) uint8.
-        grid: (rows, columns, 2) the board's inner corners [px], within about a pixel; NaN: unknown.
-        lengths_px: (rows, columns) lengths of the strips along the edges; clipped to LENGTHS_PX.
-        half_widths_px: (rows, columns) half widths of the strips, or one for all.
-
-    Returns:
-        (rows, columns, 2) [px]; NaN for a corner without a clear saddle point, near the image's
-        border, or without a neighbour in its row or its column.
+    Corners are right to about a pixel, NaN where unknown. The strips along the edges have lengths
+    (rows, columns), clipped to LENGTHS_PX, and half widths (rows, columns), or one for all. NaN for
+    a corner without a clear saddle point, near the image's border, or without a neighbour in its
+    row or its column.
     """
     shape = grid.shape
     lengths = np.clip(np.nan_to_num(lengths_px), *LENGTHS_PX).ravel()
@@ -78,9 +70,8 @@ def curvatures(grid: Array) -> Array:
     """Estimate the second-order terms (rows, columns, 2, 3) of the bend of a board's lines.
 
     Coefficients of u^2, u v and v^2 in the deviation of x and y [px] from straight lines, at an
-    offset (u, v) [px] from a corner, without the change of the squares' size along a line. They are
-    finite differences of a smooth map of the whole board, which extends to its border and to
-    unknown corners (NaN); zero with too few corners.
+    offset (u, v) [px] from a corner: finite differences of a smooth map of the whole board. Zero
+    with too few corners.
     """
     offsets = np.stack(np.meshgrid((-1, 0, 1), (-1, 0, 1)), axis=-1) / 4  # squares
     j, i = np.indices(grid.shape[:2])
@@ -108,9 +99,8 @@ def _smooth_map(grid: Array, places: Array) -> Array:
     """Map places (N, 2) on the board, in squares from its first corner, to pixels (N, 2).
 
     A homography and a polynomial for lens distortion, of the largest degree up to five with 1.5
-    corners a coefficient. Degree four biases corners on the rim of drawn boards by 0.001 px, which
-    moves focal lengths of fisheye lenses by four standard deviations; degree six is noisier than
-    five. NaN with too few corners.
+    corners a coefficient; degree four moves focal lengths of fisheye lenses by four standard
+    deviations. NaN with too few corners.
     """
     valid = np.isfinite(grid[..., 0])
     j, i = np.nonzero(valid)

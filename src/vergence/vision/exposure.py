@@ -1,8 +1,7 @@
 """Equalise brightness and contrast of two images of a scene, for trackers and stereo matchers.
 
-These compare grey levels, and cameras seldom expose alike. Subtracting the local mean removes
-offsets and most of the vignetting. The ratio of contrasts is one number for the whole image: the
-weighted median over its parts, since each image also shows things that the other does not.
+Subtracting the local mean removes offsets and most of the vignetting. The ratio of contrasts is the
+weighted median over parts of the image, since each also shows things that the other does not.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Compare the layout of the markers in an image with that of a ChArUco board.
 
-OpenCV numbers corners by the markers beside them. If the description of a board has wrong counts or
-the wrong first colour, some markers still agree with it, and OpenCV returns wrongly numbered
-corners. So all pairs of neighbours are compared with the description. Their distance is measured by
-their own sides, so that the lens need not be known.
+If the description of a board has wrong counts or the wrong first colour, some markers still agree
+with it, and OpenCV returns wrongly numbered corners. So all pairs of neighbours are compared with
+the description, at distances measured by their own sides.
 """
 
 from __future__ import annotations

@@ -1,10 +1,9 @@
 """Detect a coloured sphere and locate its centre without the bias of its outline.
 
-The outline of a sphere is an ellipse. Its centre is not the image of the sphere's centre: off the
-optical axis they differ by a fraction of the sphere's size. The detector measures the area and the
-centroid of the ellipse in the plane z = 1, with each pixel weighted by the part of it that the
-sphere covers (`sphere_coverage`). They determine the cone of rays that touch the sphere, and the
-axis of the cone passes through the sphere's centre.
+Off the optical axis the centre of the outline, an ellipse, is not the image of the sphere's centre.
+Area and centroid of the ellipse in the plane z = 1, with pixels weighted by the part that the
+sphere covers (`sphere_coverage`), determine the cone of rays that touch the sphere, and the axis of
+the cone passes through the sphere's centre.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera, pixel_area, project, unproject
-from vergence.vision.detector import Detection, Detector, windows
+from vergence.vision.detector import Detection, Detector, pixel_or_nan, windows
 from vergence.vision.sphere_coverage import CONTRAST, EDGE_PX, coverage, edge_width_px, misfit
 
 COLOURS = ("red", "blue")
@@ -29,11 +28,11 @@ _THRESHOLD = 100
 150."""
 _MARGIN_PX = 5
 """Width of the background around the sphere that must be visible [px]; edges take two."""
-_LARGEST_MISFIT_PX = 0.1
-"""Misfit of the outline above which the sphere counts as occluded [px]. It is 0 for drawn whole
-spheres, shaded or blurred, and 0.3 where 15 % of the diameter are hidden (tests/test_sphere.py)."""
 _ERROR_PER_MISFIT = 5.0
 """Error of an occluded sphere's centre over its misfit; at most 5 in tests/test_sphere.py."""
+_WHOLE_STD_PX = float(np.hypot(STD_PX, 0.1 * _ERROR_PER_MISFIT))
+"""Deviation above which a sphere counts as occluded [px]. The misfit is 0 for drawn whole spheres,
+and 0.3 px where 15 % of the diameter are hidden (tests/test_sphere.py)."""
 
 
 def sphere_detector(colour: Literal["red", "blue"] = "red", *, std_px: float = STD_PX) -> Detector:
@@ -51,11 +50,16 @@ def sphere_detector(colour: Literal["red", "blue"] = "red", *, std_px: float = S
     if not std_px > 0:
         raise VergenceError(f"The standard deviation must be above 0 px, found {std_px:g}.")
 
+    planes = (0, 1, 2) if colour == "red" else (2, 1, 0)  # the sphere's colour first
+
     def detect(image: np.ndarray, camera: Camera, near: Array | None) -> Detection | None:
-        pixel, misfit_px = _detect(image, camera, colour, near)
-        if not np.isfinite(pixel).all():
-            return None
-        return Detection(pixel, float(np.hypot(std_px, _ERROR_PER_MISFIT * misfit_px)))
+        for rows, columns in windows(image, near):
+            window = _sphere_window(image, planes, rows, columns)
+            if window is not None:
+                pixel, misfit_px = _centre(image, planes, *window, camera)
+                error_px = float(np.hypot(std_px, _ERROR_PER_MISFIT * misfit_px))
+                return Detection(pixel, error_px) if np.isfinite(pixel).all() else None
+        return None
 
     return detect
 
@@ -67,34 +71,13 @@ def find_sphere(
     colour: Literal["red", "blue"] = "red",
     near: Array | None = None,
 ) -> Array:
-    """Locate the centre of a coloured sphere as a pixel (2,), distortion included.
+    """Locate the centre (2,) [px] of the largest sphere of a colour; NaN: not seen as a whole.
 
-    The centre of a matt sphere of one colour is unbiased, however the camera averages over a pixel.
-
-    Args:
-        image: (H, W, 3) uint8, RGB.
-        camera: intrinsics of the camera that took it.
-        colour: of the sphere.
-        near: (2,) pixel around which to search first; None or NaN: unknown.
-
-    Returns:
-        The centre of the largest region of this colour, first of those around `near`. NaN if no
-        region of at least four pixels lies wholly in the image, or the sphere is occluded.
+    The image is (H, W, 3) uint8, RGB; the search begins around `near` (2,), unless None or NaN.
     """
-    pixel, misfit_px = _detect(image, camera, colour, near)
-    return pixel if misfit_px <= _LARGEST_MISFIT_PX else np.full(2, np.nan)
-
-
-def _detect(
-    image: np.ndarray, camera: Camera, colour: str, near: Array | None
-) -> tuple[Array, float]:
-    """Locate the centre (2,) of a sphere, or NaN, and the misfit of its outline [px]."""
-    planes = (0, 1, 2) if colour == "red" else (2, 1, 0)  # the sphere's colour first
-    for rows, columns in windows(image, near):
-        window = _sphere_window(image, planes, rows, columns)
-        if window is not None:
-            return _centre(image, planes, *window, camera)
-    return np.full(2, np.nan), 0.0
+    found = sphere_detector(colour)(image, camera, near)
+    whole = found is not None and found.std_px <= _WHOLE_STD_PX
+    return pixel_or_nan(found if whole else None)
 
 
 def _sphere_window(

@@ -54,9 +54,7 @@ def template_detector(
             differ by a fifth. Sizes with a side below LEAST_SIDE_PX are left out.
         least_score: correlation from which the object counts as found.
 
-    Raises:
-        VergenceError: the picture has another form, too little contrast or only stripes, no size is
-            large enough, or the least score is not between 0 and 1.
+    Raises VergenceError for an argument that cannot serve, such as a picture of little contrast.
     """
     grey = grey_levels(checked_image(picture, "A template"))
     if not all((slope != 0).any() for slope in np.gradient(grey.astype(float))):

@@ -11,8 +11,7 @@ from vergence.vision.matching.least_squares_matching import WINDOW_PX
 from vergence.vision.matching.turned_views import whole_windows
 
 _FEATURES = 1000
-"""Number of features to select in the textured part that both eyes see. With a third fewer, what is
-learned in 5 s is up to a fifth worse in Fig. 6, in 12 % less time."""
+"""Number of features to select; with a third fewer, depth is up to a fifth worse in Fig. 6."""
 _ABOVE_NOISE, _BELOW_TEXTURE = 10.0, 0.03
 """A cell without texture has squared gradients below both: this multiple of those of the weakest
 twentieth of the cells, and this share of those of the strongest."""
@@ -28,10 +27,9 @@ _SURFACE_PX = 15.0
 def best_of_cells(view: np.ndarray, inside: np.ndarray) -> Array:
     """Select pixels (N, 2), in each cell the one that a window determines best in both directions.
 
-    The measure is the smaller eigenvalue of the structure tensor (Shi and Tomasi, 1994). Features
-    are evenly spread, so that a near thing with a repeated pattern does not outvote the rest.
-    `inside` tells for every second pixel whether both eyes see it. Cells are smaller where parts of
-    the image have no texture.
+    The measure is the smaller eigenvalue of the structure tensor (Shi and Tomasi, 1994). `inside`
+    tells for every second pixel whether both eyes see it. Where parts have no texture, cells
+    are smaller.
     """
     half = cv2.pyrDown(view)  # accurate enough, and much faster
     smaller = cv2.cornerMinEigenVal(half, WINDOW_PX // 2, ksize=3)
@@ -69,11 +67,9 @@ def _cells(values: np.ndarray, side_px: float) -> np.ndarray:
 def relief_around(at: Array, displaced: Array) -> Array:
     """Estimate the relief of the scene around windows (N,) [px]: its RMS deviation from a plane.
 
-    At a depth discontinuity, edges of the nearer and the farther surface form T-junctions. They are
-    no points of the scene and appear displaced across the epipolar line, and relief within a window
-    has the same effect. A plane is fitted to the displacements of the neighbours; the worst of them
-    is left out, since it may be a mismatch. `displaced` (N,) are the displacements of the windows
-    at (N, 2) along the epipolar line [px].
+    Relief displaces windows across the epipolar line. A plane is fitted to the displacements of the
+    neighbours without the worst of them, which may be a mismatch. `displaced` (N,) are those of the
+    windows at (N, 2) along the epipolar line [px].
     """
     if len(at) <= _NEIGHBOURS:
         return np.zeros(len(at))

@@ -1,14 +1,9 @@
 """Match windows of two images by least squares, to a few hundredths of a pixel, with covariance.
 
-On an inclined surface the displacement changes across a window, and a pure shift would take part of
-that change for a shift across the epipolar line. So the displacement is a linear function of the
-place in the window, along the direction in which depth displaces (Gruen, "Adaptive least squares
-correlation", 1985). Slopes are those of the mean of both images, whose noise is uncorrelated with
-that of the difference.
-
-Errors other than noise, as behind the edge of a nearer thing, come in groups of pixels. The
-covariance is therefore the mean of two: that of independent pixels times a variance inflation, and
-the sandwich estimate by clusters, the nine parts of the window, which alone would be too noisy.
+The displacement is a linear function of the place in the window, along the direction in which depth
+displaces (Gruen, "Adaptive least squares correlation", 1985). The covariance is the mean of two:
+that of independent pixels times a variance inflation, and the sandwich estimate by clusters of
+pixels, the nine parts of the window, since errors other than noise come in groups.
 """
 
 from __future__ import annotations
@@ -75,16 +70,11 @@ def match_windows(
     direction: Array,
     enlargement: Array,
 ) -> Matched:
-    """Locate windows of the left view in the right one.
+    """Locate windows of the left view in the right image, which is interpolated only once.
 
-    Args:
-        left: (H, W) the left view, grey.
-        right: (H, W) the right image as it was taken, grey, so that it is interpolated only once.
-        right_map: u and v (H, W) float32 of the pixels of the right view in the right image.
-        at: (N, 2) middles of the windows in the left view, whole pixels; all of each is visible.
-        found: (N, 2) approximate positions in the right view, within half a pixel.
-        direction: (N, 2) unit vectors along which depth displaces in the view.
-        enlargement: (N,) relative growth of the windows in the right view, by smaller distance.
+    Both are (H, W) grey; right_map is u and v (H, W) of the right view's pixels in the image. The
+    middles (N, 2) in the left view are whole pixels; those found in the right view are right to
+    half a pixel. Depth displaces along unit vectors (N, 2), and enlarges windows by (N,).
     """
     if not len(at):
         return Matched(np.empty((0, 2)), np.empty((0, 2, 2)), np.zeros(0, bool))
@@ -98,8 +88,7 @@ def match_windows(
     shown = _sampled(right, *(np.swapaxes(maps, 0, 1) @ powers))
     grey, other = _inner(template), _inner(shown)
     contrast = _contrast(grey, other)
-    # With slopes of both windows one step is exact to the second order; in rendered rooms further
-    # steps do not improve depth.
+    # With the slopes of the mean of both windows one step is exact to the second order.
     by_state = _slopes((template + contrast * shown) / 2, along)
     H = by_state @ np.swapaxes(by_state, 1, 2)
     prior = np.diag(np.array([0, 0, 1, 1], np.float32)) / _SLOPE_STD**2
@@ -206,7 +195,9 @@ def _covariance(
     of_noise = WINDOW_PX**2 / 8 * np.diag([1, 1, far, far])
     # The slopes of noise carry no information.
     information = H + variance[..., None] * (prior - of_noise)
-    clear = _positive_definite(information)
+    # Sylvester's criterion; eigenvalues take three times as long.
+    minors = [np.linalg.det(information[:, :n, :n].astype(float)) for n in range(1, 5)]
+    clear = np.min(minors, axis=0) > 0
     information[~clear] = np.eye(4)
     inverse = np.linalg.inv(information)[:, :2]
     independent = inverse[:, :, :2] * variance[..., None]
@@ -217,18 +208,3 @@ def _covariance(
     covariance = (_INFLATION * independent + of_parts) / 2
     # Interpolation and perspective leave 0.01 px without noise.
     return covariance.astype(float) + 0.01**2 * np.eye(2), clear
-
-
-def _positive_definite(matrices: np.ndarray) -> np.ndarray:
-    """Test which symmetric matrices (N, n, n) are positive definite: all pivots are positive.
-
-    Eigenvalues take three times as long.
-    """
-    left: np.ndarray = matrices.copy()
-    definite = np.ones(len(left), bool)
-    for _ in range(left.shape[1]):
-        pivot = left[:, :1, :1]
-        definite &= pivot[:, 0, 0] > 0
-        row: np.ndarray = left[:, :1, 1:] / np.where(definite[:, None, None], pivot, 1.0)
-        left = left[:, 1:, 1:] - left[:, 1:, :1] @ row
-    return definite

@@ -1,10 +1,8 @@
 """Match features of a scene between two eyes, or over time in one.
 
-The predicted geometry turns both images into one orientation, where points of the scene are
-displaced by little more than their disparity. Features are tracked from the first to the second
-image and back (Lucas and Kanade), refined by least squares, and returned as pixels of the original
-images. Between two eyes they are selected cell by cell in the part that both see; over time they
-are given. The search covers predictions that are wrong by a few degrees.
+The predicted geometry turns both images into one orientation. Features are tracked from the first
+to the second image and back (Lucas and Kanade), refined by least squares, and returned as pixels of
+the original images. The search covers predictions that are wrong by a few degrees.
 """
 
 from __future__ import annotations
@@ -15,22 +13,18 @@ import cv2
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.geometry.camera import Camera, half_size, normalise
-from vergence.vision.exposure import NEARBY_PX, grey_levels, of_equal_contrast
+from vergence.geometry.camera import Camera, normalise
+from vergence.vision.exposure import NEARBY_PX, of_equal_contrast
 from vergence.vision.matching.feature_selection import best_of_cells, relief_around
-from vergence.vision.matching.least_squares_matching import REACH, WINDOW_PX, match_windows
+from vergence.vision.matching.least_squares_matching import REACH, match_windows
 from vergence.vision.matching.turned_views import TurnedViews, on_map, turned_views, whole_windows
 
-_FEW = 150
-"""Number of matches below which images of half the size are tried; rooms give 370 and more."""
 _WINDOW_PX = 9
 """Side of the tracker's windows [px]; 11 take half as long again, for 4 % more matches."""
 _ACROSS = 0.2
-"""Displacement across the epipolar line over the relief; fitted to rendered images of one head at
-known postures, where 0.1 to 0.3 are about as good."""
+"""Displacement across the epipolar line over the relief; fitted to rendered images."""
 _NEAREST, _BEYOND = 1 / 3, 1 / 32
-"""Largest displacement over the image's width, and the largest in the other direction, which far
-things have if the prediction is wrong by degrees."""
+"""Largest displacement over the image's width, forwards and, by a wrong prediction, backwards."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,39 +49,11 @@ def match_scene(
 ) -> Matches:
     """Match features that both images show, by the predicted relative pose of the cameras.
 
-    If noise leaves few matches, images of half the size are tried, whose windows show more of the
-    scene; the matches with more information are returned.
-
     Images are (H, W) grey or (H, W, 3) RGB, uint8; T_rcam_lcam (4, 4) may be wrong by a few
     degrees.
     """
-    by_left, by_right = (left, left_camera), (right, right_camera)
-    matches = _between_eyes(by_left, by_right, T_rcam_lcam)
-    if len(matches.left) >= _FEW or min(left.shape[:2]) < 4 * WINDOW_PX:
-        return matches
-    small = _between_eyes(_half_size(*by_left), _half_size(*by_right), T_rcam_lcam)
-    small = Matches(2 * small.left + 0.5, 2 * small.right + 0.5, 4 * small.covariance)
-    return max(matches, small, key=_information)
-
-
-def _between_eyes(
-    left: tuple[np.ndarray, Camera], right: tuple[np.ndarray, Camera], T_rcam_lcam: Array
-) -> Matches:
-    """Match images, given with their cameras, at their own scale."""
-    views = turned_views((left[0], right[0]), (left[1], right[1]), T_rcam_lcam)
+    views = turned_views((left, right), (left_camera, right_camera), T_rcam_lcam)
     return _matched(views, best_of_cells(views.first, views.inside), None)[0]
-
-
-def _half_size(image: np.ndarray, camera: Camera) -> tuple[np.ndarray, Camera]:
-    """Average an image over 2 x 2 pixels; return it with its camera."""
-    small = half_size(camera)
-    even = grey_levels(image)[: 2 * small.height, : 2 * small.width]
-    return cv2.resize(even, small.size, interpolation=cv2.INTER_AREA), small
-
-
-def _information(matches: Matches) -> float:
-    """Sum the inverse variances of matches [1/px^2]."""
-    return float((1 / np.trace(matches.covariance, axis1=1, axis2=2)).sum())
 
 
 def track_features(
@@ -99,19 +65,10 @@ def track_features(
     pixels: Array,
     depths_m: Array,
 ) -> tuple[Matches, np.ndarray]:
-    """Track features of an earlier image into a later one of the same camera.
+    """Track features (M, 2) [px] of approximate depths (M,) into a later image of the same camera.
 
-    Args:
-        before: (H, W) grey or (H, W, 3) RGB, uint8.
-        now: the later one.
-        camera: that took both.
-        T_now_before: (4, 4) its predicted motion; the rotation may be wrong by a few degrees.
-        pixels: (M, 2) of the features in the earlier image.
-        depths_m: (M,) their approximate depths.
-
-    Returns:
-        N matches, and the indices (N,) of their features. Windows lie on whole pixels of a turned
-        image, so that a match is up to a pixel away from its feature.
+    The predicted motion T_now_before (4, 4) may be wrong by a few degrees. Returns N matches and
+    the indices (N,) of their features; a match is up to a pixel away from its feature.
     """
     views = turned_views((before, now), (camera, camera), T_now_before)
     rays = np.column_stack([normalise(camera, pixels), np.ones(len(pixels))])
@@ -180,9 +137,8 @@ def _track_far(
 ) -> tuple[Array, np.ndarray]:
     """Track pixels (N, 2) into another view over small and large displacements.
 
-    Each is tracked from its start (N, 2). Those that a plane sweep predicts far from there are
-    tracked from that prediction too, which takes precedence: repeated patterns look the same some
-    periods away. Returns positions (N, 2), and which are sure.
+    Those that a plane sweep predicts far from their start (N, 2) are tracked from there too, which
+    takes precedence. Returns positions (N, 2), and which are sure.
     """
     nearby_px = 4 * step_px(views.first.shape[1]) - 1  # as for tracking in images of 640 px
     swept = images
@@ -236,14 +192,11 @@ def inverse_depths(
 ) -> Array:
     """Estimate inverse depths (N,) [1/m] in the second image; NaN where no plane is clearly best.
 
-    The second image is displaced as planes at many distances would be, and each place of the first
-    takes the plane at which its surroundings differ least (Collins, "A space-sweep approach to true
-    multi-image matching", 1996). In small images this is fast, and it covers larger displacements
-    than a tracker's pyramid.
-
-    Both images (H, W) are of about the same brightness and contrast, with one focal length and
-    principal point `middle` (2,). A pixel of the first is `at` (N, 2); `shift` (3,) [m] is that of
-    a point from the first camera to the second.
+    A plane sweep in small images: each pixel (N, 2) of the first takes the plane at which its
+    surroundings differ least (Collins, "A space-sweep approach to true multi-image matching",
+    1996). It covers larger displacements than a tracker's pyramid. Both images (H, W) have one
+    contrast, focal length and principal point `middle` (2,); a point shifts by (3,) [m] from the
+    first camera to the second.
     """
     step = step_px(first.shape[1])
     by_inverse_depth = focal * float(np.hypot(*shift[:2]))  # displacement in the middle
