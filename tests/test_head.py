@@ -15,7 +15,6 @@ from vergence.geometry.head import (
     base_pose,
     base_pose_in_body,
     camera_pose_in_base,
-    check_states_covariance,
     load_head,
     parameter_names,
     save_head,
@@ -154,5 +153,3 @@ def test_the_stated_covariance_is_that_of_the_names_in_their_order(head: HeadCal
     for none in (replace(head, accuracy=None), replace(head, accuracy=Accuracy(method="paper"))):
         assert not states_covariance(none)
         assert stated_covariance(none, names)[1].shape == (0, 0)
-        with pytest.raises(VergenceError, match="states no covariance"):
-            check_states_covariance(none)

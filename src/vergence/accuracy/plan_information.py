@@ -20,7 +20,6 @@ from vergence.geometry.board import Board
 from vergence.geometry.head import (
     HeadCalibration,
     base_pose,
-    check_states_covariance,
     parameter_names,
 )
 from vergence.geometry.kinematics import looking_along
@@ -47,9 +46,12 @@ class Knowledge:
 
 def known_of(head: HeadCalibration) -> Knowledge:
     """Invert the covariance of a calibration; VergenceError if it states no covariance."""
-    check_states_covariance(head)
     accuracy = head.accuracy
-    assert accuracy is not None
+    if accuracy is None or not accuracy.parameters:
+        raise VergenceError(
+            "This calibration states no covariance; `vergence calibrate --method bundle` makes "
+            "one that does."
+        )
     if accuracy.eye_motion == "poses":
         raise VergenceError(
             "A plan is of joint readings; this head was calibrated with measured eye poses."

@@ -90,29 +90,19 @@ class Charuco:
 
 
 Board = Chessboard | Charuco
-_MOST_STRETCH = 0.1
-"""Largest relative difference of the sides of a square that a printer may have made."""
 
 
 def _check_stretch(board: Board) -> None:
-    """Refuse squares that no printer makes of square ones, with a ValueError."""
+    """Raise ValueError for sides of squares that no printer makes of square ones."""
     x, y = board.square_m, board.square_y_m or board.square_m
-    if abs(y / x - 1) > _MOST_STRETCH:
+    if abs(y / x - 1) > 0.1:
         raise ValueError(
             f"square_y_m is the other side of nearly square squares of {x} m, found {y}"
         )
 
 
 def marker_family(dictionary: str, marker_id: int = 0) -> cv2.aruco.Dictionary:
-    """Look up OpenCV's family of markers.
-
-    Args:
-        dictionary: OpenCV's name of the family, such as DICT_4X4_50.
-        marker_id: number of a marker that the family must have.
-
-    Raises:
-        VergenceError: the dictionary, or the marker in it, is unknown.
-    """
+    """Look up OpenCV's family of markers; VergenceError if it, or the marker in it, is unknown."""
     if dictionary not in DICTIONARIES:
         raise VergenceError(
             f"No marker dictionary is called {dictionary!r}; there are {', '.join(DICTIONARIES)}."

@@ -55,18 +55,12 @@ def is_image_size(size: Any) -> bool:
 
 
 def check_image_fits(name: str, camera: Camera, shape: Sequence[int], *, whose: str) -> None:
-    """Raise VergenceError if images (H, W, ...) have another size than the calibration of a camera.
-
-    The message names the camera and says whose images they are, such as "the frame's".
-    """
+    """Raise VergenceError if images (H, W, ...) do not have the size of a calibrated camera."""
     if tuple(shape[:2]) != (camera.height, camera.width):
         raise VergenceError(
             f"The calibration of {name} is for images of {camera.width} x {camera.height} px, but "
             f"{whose} have {shape[1]} x {shape[0]} px."
         )
-
-
-_UNDISTORTED = np.zeros(0)  # as many zeros as the lens model has coefficients
 
 
 @dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid"))
@@ -79,14 +73,14 @@ class Camera:
     """Image height [px]."""
     matrix: Matrix3
     """A of Eq. 2: [[alpha, gamma, u0], [0, beta, v0], [0, 0, 1]] [px]."""
-    distortion: VectorN = field(default_factory=lambda: _UNDISTORTED)
-    """The coefficients of the lens model, in the order of `lens.COEFFICIENTS`; left out: zeros."""
+    distortion: VectorN = field(default_factory=lambda: np.zeros(0))
+    """The coefficients of the lens model, in the order of `lens.COEFFICIENTS`; empty: zeros."""
     model: CameraModel = "radial-tangential"
     """The lens model; files of earlier versions, which do not state one, have this one."""
 
     def __post_init__(self) -> None:
         names = COEFFICIENTS[self.model]
-        if self.distortion is _UNDISTORTED:
+        if not self.distortion.size:
             zeros = np.zeros(len(names))
             zeros.setflags(write=False)
             object.__setattr__(self, "distortion", zeros)
@@ -155,8 +149,7 @@ def project_jacobians(
 ) -> tuple[Array, Array, Array]:
     """Compute pixels (..., 2), their Jacobians by point (..., 2, 3) and by intrinsics (..., 2, n).
 
-    The intrinsics are fx, fy, cx, cy and the coefficients of the lens model; n is 0 where their
-    derivatives are not wanted.
+    The intrinsics are those of `intrinsics_names`, or none.
     """
     fx, skew, cx, fy, cy = _pinhole(camera)
     x, y, inv_z = _in_front(points_cam)
@@ -181,19 +174,13 @@ def project_jacobians(
 
 @ignoring_invalid  # infinity times zero
 def in_valid_field(camera: Camera, x: Array, y: Array, z: Array) -> np.ndarray:
-    """Check whether points (x, y, z) in frame cam are in front of a camera and before its reach.
-
-    Beyond it a lens model folds over, and shows what no camera would see; see `lens.reach`.
-    """
+    """Check whether points (x, y, z) in frame cam are in front of it and within `lens.reach`."""
     limit = lens.reach(camera.model, camera.coefficients)
     return (z > 0) & (x * x + y * y < limit * (z * z))
 
 
 def displaced_by_distortion(camera: Camera) -> Array:
-    """Compute X (n, n) [px^2]: how far pixels move when the n distortion coefficients change.
-
-    A change d of the coefficients moves the pixels of the image by d^T X d in the mean square.
-    """
+    """Compute X (n, n) [px^2]: a change d of the distortion moves pixels by d^T X d (squared)."""
     points = unproject(camera, pixel_grid(camera))
     points = points[np.isfinite(points).all(axis=1)]
     _, _, by_lens = project_jacobians(camera, points)
@@ -210,17 +197,13 @@ def pixel_grid(camera: Camera) -> Array:
 def normalise(camera: Camera, pixels: Array) -> Array:
     """Undistort pixels (..., 2) to normalised coordinates (x/z, y/z) (..., 2).
 
-    Newton's method to machine precision. Pixels beyond the reach of the lens model (where it folds
-    over, or 90 degrees from the axis) give NaN.
+    Pixels beyond the reach of the lens model (where it folds over, or at 90 degrees) give NaN.
     """
     return np.ascontiguousarray(normalise_jacobian(camera, pixels)[0])
 
 
 def unproject(camera: Camera, pixels: Array) -> Array:
-    """Compute the points (..., 3) in frame cam that pixels (..., 2) show at depth 1.
-
-    NaN where `normalise` gives NaN.
-    """
+    """Compute the points (..., 3) in frame cam that pixels show at depth 1; see `normalise`."""
     xy = normalise(camera, pixels)
     return np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)
 
@@ -229,8 +212,7 @@ def unproject(camera: Camera, pixels: Array) -> Array:
 def normalise_jacobian(camera: Camera, pixels: Array) -> tuple[Array, Array]:
     """Compute normalised coordinates (..., 2) of pixels (..., 2), and derivatives (..., 2, 2).
 
-    The derivatives are taken before the last step of Newton's method, where the coordinates are
-    known to 1e-9.
+    By Newton's method to machine precision; derivatives are those before the last step.
     """
     fx, skew, cx, fy, cy = _pinhole(camera)
     u, v = batch_last(pixels)
@@ -281,8 +263,7 @@ def pinhole(
     *,
     model: CameraModel = "radial-tangential",
 ) -> Camera:
-    """Make a camera whose principal point is the middle of its image; no coefficients: zeros."""
+    """Make a camera whose principal point is the middle of its image."""
     fx, fy = focal_px if isinstance(focal_px, tuple) else (focal_px, focal_px)
     matrix = np.array([[fx, 0, (width - 1) / 2], [0, fy, (height - 1) / 2], [0, 0, 1]])
-    k = np.zeros(len(COEFFICIENTS[model])) if distortion is None else np.array(distortion)
-    return Camera(width=width, height=height, matrix=matrix, distortion=k, model=model)
+    return Camera(width, height, matrix, np.array(distortion or ()), model)

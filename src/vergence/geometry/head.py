@@ -112,10 +112,7 @@ def parameter_names(head: HeadCalibration) -> tuple[str, ...]:
 def _names(
     lenses: tuple[tuple[str, tuple[str, ...]], ...], joints: tuple[str, ...]
 ) -> tuple[str, ...]:
-    """List the names of all parameters, by those of each camera's lens and of the joints.
-
-    Remembered, since heads that an estimate changes many times a second keep theirs.
-    """
+    """List the names of all parameters; remembered, since a head that changes keeps its names."""
     poses = tuple(f"T_eye_cam.{name}" for name in POSE)
     return (
         *(f"{camera}.{name}" for camera, lens in lenses for name in (*lens, *poses)),
@@ -145,15 +142,6 @@ def without_accuracy(head: HeadCalibration) -> HeadCalibration:
     return replace(head, accuracy=None)
 
 
-def check_states_covariance(head: HeadCalibration) -> None:
-    """Raise VergenceError if a head does not state how well its parameters are known."""
-    if not states_covariance(head):
-        raise VergenceError(
-            "This calibration states no covariance; `vergence calibrate --method bundle` makes "
-            "one that does."
-        )
-
-
 def stated_covariance(head: HeadCalibration, names: Sequence[str]) -> tuple[np.ndarray, Array]:
     """Select which (s,) of named parameters have a stated covariance, and that (s, s)."""
     if head.accuracy is None:
@@ -165,10 +153,7 @@ def stated_covariance(head: HeadCalibration, names: Sequence[str]) -> tuple[np.n
 
 
 def pixel_stds(head: HeadCalibration, cameras: tuple[str, str] | None) -> Array:
-    """Look up the stated noise of left u, left v, right u, right v (4,) [px]; 0: not stated.
-
-    VergenceError if the head has no such pair of cameras.
-    """
+    """Look up the stated noise of left u, left v, right u, right v (4,) [px]; 0: not stated."""
     pair, accuracy = pair_names(head, cameras), head.accuracy
     if accuracy is None:
         return np.zeros(4)
@@ -212,10 +197,7 @@ def main_pair(head: HeadCalibration) -> tuple[str, str] | None:
 
 
 def pair_names(head: HeadCalibration, cameras: tuple[str, str] | None = None) -> tuple[str, str]:
-    """Check the names of a camera of the left eye and one of the right; None: the main ones.
-
-    VergenceError if they are something else, or the head is, such as a path.
-    """
+    """Check the names of a camera of the left eye and one of the right; None: the main ones."""
     if not isinstance(head, HeadCalibration):
         raise VergenceError(
             f"A head is a HeadCalibration, such as of load_head(path); found {head!r:.80}."
@@ -248,10 +230,9 @@ def camera_pose_in_base(head: HeadCalibration, camera: str, joints: Array) -> Ar
 
 
 def base_pose_in_body(head: HeadCalibration, eye: Side, neck_angles: Array) -> Array:
-    """Compute poses (..., 4, 4) of an eye's base frame in frame body: T_be(neck) of Eq. 12.
+    """Compute poses (..., 4, 4) of an eye's base in frame body, T_be(neck) of Eq. 12.
 
-    The angles (..., 3) [rad] are those of a frame; `neck.chain_angles` has what else they may be,
-    and its error.
+    The angles (..., 3) [rad] are those of a frame: see `neck.chain_angles`.
     """
     return head_pose(head.neck, chain_angles(head.neck, neck_angles)) @ base_pose(head, eye)
 
@@ -263,11 +244,7 @@ def wide_pose_in_narrow(head: HeadCalibration, eye: Side) -> Array:
 
 
 def save_head(head: HeadCalibration, path: Path | str) -> None:
-    """Write a calibration as JSON.
-
-    Raises:
-        VergenceError: the file cannot be written, or this is no calibration.
-    """
+    """Write a calibration as JSON; VergenceError if the file cannot be written."""
     if not isinstance(head, HeadCalibration):
         raise VergenceError(
             f"save_head takes a HeadCalibration, such as calibrate(...).head; found {head!r:.80}."
@@ -276,31 +253,19 @@ def save_head(head: HeadCalibration, path: Path | str) -> None:
 
 
 def load_head(path: Path | str, *, allow_void: bool = False) -> HeadCalibration:
-    """Read a calibration from JSON.
+    """Read a calibration from JSON; `allow_void` also reads one that must not be used.
 
-    Args:
-        path: the file.
-        allow_void: whether to read a calibration that says of itself that it must not be used,
-            such as to look at what is wrong with it.
-
-    Raises:
-        VergenceError: the file is missing, not JSON, a field of it is not valid, its accuracy is of
-            a parameter that the head does not have, or the calibration is void.
+    Raises VergenceError if the file is missing or invalid, or the calibration is void.
     """
     head = read_json(Path(path), HeadCalibration, "a head calibration")
-    _check_accuracy_names(head, path)
-    if head.accuracy is not None and head.accuracy.void and not allow_void:
-        raise VergenceError(f"The calibration {path} is VOID: {head.accuracy.void[0]}")
-    return head
-
-
-def _check_accuracy_names(head: HeadCalibration, path: Path | str) -> None:
     if head.accuracy is None:
-        return
+        return head
     known = parameter_names(head)
     if unknown := [name for name in head.accuracy.parameters if name not in known]:
         raise VergenceError(
             f"{path} is not a head calibration: accuracy.parameters has {unknown[0][:80]!r}, which "
-            f"is no parameter of this head; it has {', '.join(known[:3])} and others, of the "
-            f"cameras {', '.join(head.cameras)}."
+            f"is no parameter of this head; it has {', '.join(known[:3])} and others."
         )
+    if head.accuracy.void and not allow_void:
+        raise VergenceError(f"The calibration {path} is VOID: {head.accuracy.void[0]}")
+    return head

@@ -42,8 +42,6 @@ MAX_JOINTS = 20
 GEARED = 3.0
 """Ratio of the factors of readings from which one of them stands before a gear, so that its noise
 is of another size. A reading of vergence, which turns each eye by its half, does not."""
-_SAME_AXIS = 0.9
-"""Cosine of the angle between axes of joints of the two eyes that are built alike."""
 LEAST_APART_M = 1e-3
 """Distance of parallel axes below which they count as one."""
 
@@ -151,36 +149,24 @@ def same_design(a: Kinematics, b: Kinematics, eyes: Collection[Side] = EYES) -> 
 def reading_kinds(kinematics: Kinematics) -> list[int]:
     """Number the kinds (r,) of readings; readings of one kind have the same level of noise.
 
-    A reading of the left eye alone is of one kind with one of the right eye alone if the joints
-    that they turn have parallel axes, such as pan with pan, and gears are alike. All others are of
-    a kind of their own.
+    A reading of the left eye alone is of one kind with one of the right eye alone if both turn a
+    joint of one name through like gears, such as pan and pan. All others are of their own kind.
     """
     left, right = (kinematics.used(eye) for eye in EYES)
-    alone = [reading for reading in left if reading not in right]
-    kinds = {reading: kind for kind, reading in enumerate(alone)}
-    for reading in (r for r in right if r not in left):
-        like = next((r for r in alone if _alike(kinematics, r, reading)), None)
-        kinds[reading] = max(kinds.values(), default=-1) + 1 if like is None else kinds[like]
-        alone = [r for r in alone if r != like]
-    for reading in (r for r in left if r in right):
-        kinds[reading] = max(kinds.values(), default=-1) + 1
-    return [kinds.get(reading, -1) for reading in range(len(kinematics.readings))]
-
-
-def _alike(kinematics: Kinematics, left: int, right: int) -> bool:
-    """Check whether readings of the left and of the right eye turn joints of one make."""
-    factors, axes = kinematics.gear_ratios[[left, right]], []
-    for eye, reading in zip(EYES, (left, right), strict=True):
-        chain = kinematics.chains[eye]
-        axes.append(chain.axes[np.abs(chain.mixing[:, reading]).argmax()])
-    return bool(factors.max() < GEARED * factors.min() and abs(axes[0] @ axes[1]) > _SAME_AXIS)
+    kinds, numbers = {}, {}
+    for reading in sorted((*left, *right), key=lambda r: r in left and r in right):
+        kind: object = reading
+        if not (reading in left and reading in right):
+            name, eye = kinematics.readings[reading], EYES[reading in right]
+            joint = next(joint for joint in kinematics.eyes[eye] if joint.readings.get(name))
+            gear = round(np.log10(abs(joint.readings[name])))
+            kind = joint.name, gear, [*joint.readings].index(name)
+        numbers[reading] = kinds.setdefault(kind, len(kinds))
+    return [numbers.get(reading, -1) for reading in range(len(kinematics.readings))]
 
 
 def readings_to_turn(kinematics: Kinematics, turn: Array) -> Array:
-    """Compute readings (..., r) at which both eyes have turned by vectors (..., 3) [rad].
-
-    Along the axes of the head, to first order in the turn; see `least_readings`.
-    """
+    """Compute readings (..., r) that turn both eyes by vectors (..., 3) [rad], to first order."""
     maps = [turn_by_readings(chain) for chain in kinematics.chains.values()]
     return least_readings(np.concatenate(maps), np.concatenate([turn, turn], axis=-1))
 
@@ -193,7 +179,7 @@ def turn_by_readings(chain: Chain) -> Array:
 def least_readings(by_reading: Array, turn: Array) -> Array:
     """Compute the smallest readings (..., r) that turn by nearly (..., n), as each turns by (n, r).
 
-    Directions do not count that nearly parallel axes reach only by turning far against each other.
+    Nearly parallel axes do not turn far against each other.
     """
     # By the turn that each reading makes, so that one before a gear counts as any other.
     size = np.linalg.norm(by_reading, axis=0)
@@ -235,11 +221,7 @@ def pan_tilt_along(x: Array, y: Array, z: Array) -> tuple[Array, Array]:
 def checked_readings(
     kinematics: Kinematics, readings: ArrayLike, *, one_posture: bool = False
 ) -> Array:
-    """Check readings (..., r) [rad]; of one posture they are (r,).
-
-    VergenceError if they are not the head's r, or where one posture is needed if they are of more
-    than one or not in radians.
-    """
+    """Check readings (..., r), or (r,) [rad] of one posture; VergenceError for invalid ones."""
     found, names = floats("joints", readings), kinematics.readings
     if found.shape[-1:] != (len(names),) or (one_posture and found.ndim > 1):
         where = "where those of one posture are needed" if one_posture else "in their place"
@@ -253,11 +235,7 @@ def checked_readings(
 
 
 def check_turns(kinematics: Kinematics, readings: Array) -> None:
-    """Raise VergenceError for readings (..., r) [rad] that turn a joint by more than a turn.
-
-    Degrees do so. The reading itself may be larger, as that of a motor before a gear; one that is
-    not finite counts as unknown.
-    """
+    """Raise VergenceError for finite readings (..., r) that turn a joint by more than a turn."""
     known = np.where(np.isfinite(readings), readings, 0.0)
     for chain in kinematics.chains.values():
         check_radians(known @ chain.mixing.T + chain.offset_rad, "Joint readings")
@@ -274,8 +252,5 @@ def check_radians(angles: Array, what: str) -> None:
 
 
 def eye_pose(kinematics: Kinematics, eye: Side, readings: ArrayLike) -> Array:
-    """Compute the pose (..., 4, 4) of an eye in its fixed base: T_er(theta) of the paper.
-
-    Readings are (..., r) [rad], all those of the head; VergenceError if they are not as many.
-    """
+    """Compute the pose (..., 4, 4) of an eye in its base, T_er(theta), at readings (..., r)."""
     return chain_pose(kinematics.chains[eye], checked_readings(kinematics, readings))

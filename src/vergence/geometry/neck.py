@@ -76,10 +76,9 @@ def checked_neck_angles(angles: ArrayLike) -> Array:
 
 
 def chain_angles(neck: Neck, neck_angles: Array) -> Array:
-    """Select the angles (..., n) [rad] of a neck's own joints, from the body outwards.
+    """Select the angles (..., n) [rad] of a neck's joints among those of a frame or a posture.
 
-    Those of a frame are (..., 3) in the order of NECK_JOINTS; further ones, such as the eyes' in a
-    posture, are ignored. VergenceError if the neck has joints that are not named, and not three.
+    These begin with those of NECK_JOINTS. VergenceError if the neck's joints have no names.
     """
     check_named(neck)
     return neck_angles[..., [NECK_JOINTS.index(name) for name in neck.names]]

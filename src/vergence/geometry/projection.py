@@ -12,13 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.geometry.batches import (
-    batch_first,
-    batch_last,
-    product,
-    times,
-    times_transposed,
-)
+from vergence.geometry.batches import batch_first, batch_last, product, times, times_transposed
 from vergence.geometry.camera import in_valid_field, project, project_jacobians
 from vergence.geometry.head import HeadCalibration, MountedCamera
 from vergence.geometry.kinematics import Side, check_turns, eye_pose
@@ -35,13 +29,8 @@ def project_point(head: HeadCalibration, camera: str, joints: Array, points: Arr
         points: (..., 3) [m] in the left eye's base frame; leading dimensions broadcast with those
             of the joints.
 
-    Returns:
-        NaN for points that are not in front of the camera, or beyond the reach of its lens model,
-        where this folds over.
-
-    Raises:
-        VergenceError: the head has no such camera, the readings are not as many as the head has, or
-            not in radians, or the shapes do not fit.
+    Returns NaN for points that are not in front of the camera, or beyond the reach of its lens
+    model. Raises VergenceError for an unknown camera, invalid readings or shapes that do not fit.
     """
     mounted = head.camera(camera)
     T = eye_pose(head.kinematics, mounted.eye, joints)
@@ -105,9 +94,8 @@ def project_with_jacobians(
 ) -> ProjectionJacobians:
     """Project points (..., 3) of the left eye's base, with derivatives by all that moves pixels.
 
-    The points broadcast with poses (..., 4, 4) of the camera's eye in its base.
-
-    Derivatives by lens, T_eye_cam and T_rbase_lbase have no columns without `parameters`.
+    The points broadcast with poses (..., 4, 4) of the camera's eye in its base. Without
+    `parameters`, derivatives by lens, T_eye_cam and T_rbase_lbase have no columns.
     """
     turned, arm, from_camera, in_camera = _way(mounted, T_rbase_lbase, T_base_eye, points)
     pixels, by_cam, by_lens = project_jacobians(

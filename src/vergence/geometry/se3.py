@@ -94,21 +94,14 @@ def angle(R: Array) -> Array:
 
 
 def nearest_rotation(M: Array) -> Array:
-    """Project matrices M (..., 3, 3) onto the nearest rotations.
-
-    The orthogonal factor of M, with the direction of the least singular value turned round where
-    that factor is a mirror image.
-    """
+    """Project matrices M (..., 3, 3) onto the nearest rotations."""
     U, _, Vt = np.linalg.svd(M)
     U[..., :, 2] *= np.sign(np.linalg.det(U @ Vt))[..., None]
     return U @ Vt
 
 
 def mean_pose(T: Array) -> Array:
-    """Average poses (N, 4, 4) that differ little: mean rotation and median translation (4, 4).
-
-    The rotation is the mean of the matrices, projected onto SO(3).
-    """
+    """Average poses (N, 4, 4) that differ little: mean rotation and median translation (4, 4)."""
     return pose(nearest_rotation(T[:, :3, :3].sum(axis=0)), np.median(T[:, :3, 3], axis=0))
 
 
@@ -126,10 +119,7 @@ def check_rigid(name: str, T: Array) -> None:
 
 
 def checked_points(points: ArrayLike, postures: tuple[int, ...] = ()) -> Array:
-    """Check points (..., 3).
-
-    VergenceError if they are others, or cannot be broadcast with postures of a leading shape.
-    """
+    """Check points (..., 3) that broadcast with postures of a leading shape, or VergenceError."""
     found = floats("points", points)
     if found.shape[-1:] != (3,):
         raise VergenceError(f"Points have the shape (..., 3); found an array of {found.shape}.")
