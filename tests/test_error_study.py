@@ -1,14 +1,12 @@
 """The study of the paper's numbers: its quick tables are those of its document."""
 
 import runpy
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from documents import ROOT, read
 from test_replay import TABLE_MM
-from vergence.paper.error_model import Errors, sampled_mm, spread_mm, spreads_mm
 from vergence.paper.figures import FIGURES
 
 STUDY = runpy.run_path(str(ROOT / "scenarios" / "error_study.py"))
@@ -41,18 +39,13 @@ def test_the_document_tells_what_the_small_model_gives():
     model = STUDY["SMALL"]
     values = STUDY["fit"](model)
     assert STUDY["absent"]({"small": STUDY["numbers"](model, values)}, read(DOCUMENT)) == []
-    judged = STUDY["judged"](spreads_mm(model.build(values)))
+    judged = STUDY["judged"](STUDY["spreads_mm"](model.build(values)))
     assert f"| small | 3 | {' | '.join(judged)} |" in read(DOCUMENT)
 
 
 def test_the_spread_of_white_noise_is_that_of_samples():
-    errors = Errors(joint_noise_deg=0.1, pixel_noise_um=3.0, pan_gain_percent=(1.0, -0.5))
+    errors = STUDY["Errors"](joint_noise_deg=0.1, pixel_noise_um=3.0, pan_gain_percent=(1.0, -0.5))
     for number in (6, 11):
         figure = FIGURES[number]
-        closed = spread_mm(figure, errors)
-        np.testing.assert_allclose(sampled_mm(figure, errors, 0), closed, rtol=0.03)
-
-
-def test_the_document_names_the_command():
-    assert "python scenarios/error_study.py" in read(DOCUMENT)
-    assert Path(ROOT / DOCUMENT).exists()
+        closed = STUDY["spread_mm"](figure, errors)
+        np.testing.assert_allclose(STUDY["sampled_mm"](figure, errors, 0), closed, rtol=0.03)

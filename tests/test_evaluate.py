@@ -7,17 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from other_heads import other_head
 from simulated_head import skewed_head
 from vergence import cli
 from vergence.cli.evaluation_reports import evaluation_report
 from vergence.errors import VergenceError
 from vergence.files import write_json
 from vergence.geometry.board import Chessboard
-from vergence.geometry.head import HeadCalibration, parameter_names, save_head
+from vergence.geometry.head import HeadCalibration, save_head
 from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.joints import Joint
-from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics, Side
+from vergence.geometry.kinematics import EYES, Kinematics, Side
 from vergence.geometry.parameters import change_named, without_offsets
 from vergence.twin.evaluation import Evaluation, Truth, evaluate
 from vergence.twin.profile import ErrorProfile
@@ -94,22 +93,6 @@ def test_files_that_are_exchanged_or_folders_are_refused(
     with pytest.raises(SystemExit, match="2"):
         cli.main()
     assert said in capsys.readouterr().err
-
-
-def test_factors_of_several_readings_are_estimated_and_no_other_joints():
-    head = other_head("version and vergence", np.random.default_rng(3))
-    name = next(name for name in parameter_names(head) if "_factor_" in name)
-    found = evaluate(change_named(head, (name,), np.array([1e-4])), truth_of(head))
-    assert found.parameters[name].error == pytest.approx(1e-4)
-
-
-def test_the_joints_of_an_eye_that_was_not_calibrated_do_not_count(head):
-    left = {name: each for name, each in head.cameras.items() if each.eye == "left"}
-    eyes: dict[Side, tuple[Joint, ...]] = {"left": head.kinematics.eyes["left"], "right": ()}
-    alone = Kinematics(eyes, EYE_JOINTS[:2])
-    one = replace(head, cameras=left, kinematics=alone, time_offset_s=0.01)
-    found = evaluate(one, truth_of(head))
-    assert set(found.cameras) == {"left_wide", "left_narrow"}
 
 
 def test_a_truth_of_another_head_is_refused(head):

@@ -23,7 +23,7 @@ from vergence.gaze.foveation import gaze_angles
 from vergence.gaze.hand import HandCommand
 from vergence.gaze.reaching import ReachPhase
 from vergence.geometry.projection import project_point
-from vergence.geometry.se3 import inverse, pose, transform
+from vergence.geometry.se3 import inverse, pose
 from vergence.progress import Progress
 from vergence.stereo.triangulation import triangulate_at
 from vergence.twin.hand import (
@@ -85,23 +85,8 @@ def test_the_command_line_prints_and_writes_the_summary(tmp_path, monkeypatch, c
 
 
 @pytest.mark.render
-def test_hand_and_marker_are_drawn_where_they_are():
-    with Twin(ErrorProfile()) as twin:
-        hand = SimulatedHand(twin, np.array([0.45, 0.05, 0.18]), np.eye(4))
-        hand.place()
-        true = twin.true_hand()
-        np.testing.assert_allclose(true[:3, 3], hand.true_point(hand.read().T_body_hand[:3, 3]))
-        marker = transform(true, MARKER_HAND)
-        image = twin.capture(("left_wide",)).images["left_wide"]
-        pixel = find_sphere(image, twin.truth.camera("left_wide").intrinsics, colour="blue")
-        expected = project_point(twin.truth, "left_wide", np.zeros(4), marker)
-        np.testing.assert_allclose(pixel, expected, atol=0.15)
-
-
-@pytest.mark.render
-@pytest.mark.parametrize("direction", [(1.0, 0.2, 0.2), (1.0, -0.2, -0.2)])
-def test_an_open_hand_hides_neither_the_object_nor_the_marker(direction: tuple[float, ...]):
-    where = np.array([0.0, -0.046, 0.0]) + 0.45 * np.array(direction)
+def test_an_open_hand_hides_neither_the_object_nor_the_marker():
+    where = np.array([0.0, -0.046, 0.0]) + 0.45 * np.array([1.0, 0.2, 0.2])
     with Twin(ErrorProfile()) as twin:
         twin.place_object(where)
         eyes = gaze_angles(twin.truth, where[None])
@@ -140,7 +125,7 @@ def test_the_hand_keeps_its_limits_and_stops_where_it_is_sent():
         assert hand._opening_m == CLOSED_M < OPEN_M
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_objects_come_from_a_distance_and_are_held_within_reach(seed: int):
     path = hand_held(seed, 1)
     points = np.array([path(t) for t in np.linspace(0, 9, 2001)])

@@ -164,15 +164,6 @@ def test_exact_views_give_the_exact_pose(seed: int):
     assert_same(park_martin(*views(X, rng)), X)
 
 
-@given(seeds)
-def test_any_rigid_motion_serves(seed: int):
-    """Nothing in it assumes that the axes intersect: the eye may shift as well."""
-    rng = np.random.default_rng(seed)
-    X = random_pose(rng)
-    T_er = np.array([random_pose(rng, 1.0) for _ in range(8)])
-    assert_same(park_martin(T_er, inverse(T_er @ X) @ T_BASE_TARGET), X, 1e-10)
-
-
 @pytest.mark.parametrize("moving", [(1, 0), (0, 1), (0, 0)])
 def test_turning_about_one_axis_or_none_is_refused(X: np.ndarray, moving: tuple[int, int]):
     eyes = pan_tilt_pose(np.linspace(-0.25, 0.25, 10)[:, None] * moving)
@@ -187,7 +178,7 @@ def test_two_views_are_refused():
 
 @pytest.mark.parametrize(
     ("joint_deg", "expected_deg", "expected_mm"),
-    [(0.0, 0.038, 0.30), (0.1, 0.091, 0.32), (0.3, 0.237, 0.44)],
+    [(0.0, 0.038, 0.30), (0.3, 0.237, 0.44)],
 )
 def test_noise_leaves_the_errors_that_the_method_is_known_for_and_no_bias(
     joint_deg: float, expected_deg: float, expected_mm: float

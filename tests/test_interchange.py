@@ -15,7 +15,6 @@ from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera, project
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.head_accuracy import Accuracy
-from vergence.geometry.kinematics import Kinematics
 from vergence.geometry.lens import CameraModel
 from vergence.geometry.neck import Neck
 from vergence.interchange import kalibr, opencv, ros
@@ -43,12 +42,6 @@ def test_a_head_survives_opencv_to_the_last_digit(tmp_path, suffix, neck):
     head = replace(with_k3(unskewed_head(1), 0.0123456789), time_offset_s=0.0321, neck=neck)
     opencv.save(head, tmp_path / f"head{suffix}")
     assert numbers(opencv.load(tmp_path / f"head{suffix}")) == numbers(head)
-
-
-def test_a_head_without_joints_survives_opencv(tmp_path):
-    rigid = replace(unskewed_head(1), kinematics=Kinematics({"left": (), "right": ()}, ()))
-    opencv.save(rigid, tmp_path / "head.yml")
-    assert numbers(opencv.load(tmp_path / "head.yml")) == numbers(rigid)
 
 
 def assert_opencv_projects(matrix: np.ndarray, distortion: np.ndarray, camera: Camera) -> None:
@@ -153,20 +146,6 @@ def test_a_format_that_does_not_exist_is_answered_with_those_that_do(tmp_path):
         import_head(tmp_path / "a", "urdf")  # pyright: ignore[reportArgumentType]
 
 
-def test_a_camera_that_the_head_has_not_is_named(tmp_path):
-    head = unskewed_head(15)
-    ros.save(head, tmp_path)
-    start = replace(head, cameras={"left_wide": head.cameras["left_wide"]})
-    with pytest.raises(VergenceError, match="No camera is called 'left_narrow'"):
-        import_head(tmp_path, "ros", template=start)
-
-
-@pytest.mark.parametrize("format_name", ["kalibr", "ros", "opencv"])
-def test_a_missing_file_is_named(tmp_path, format_name):
-    with pytest.raises(VergenceError, match=r"none\.yml"):
-        import_head(tmp_path / "none.yml", format_name, template=unskewed_head(18))
-
-
 def test_opencv_says_which_endings_it_knows(tmp_path):
     with pytest.raises(VergenceError, match=r"\.yml, \.yaml, \.xml, \.json"):
         opencv.save(unskewed_head(19), tmp_path / "head.txt")
@@ -205,11 +184,3 @@ def test_kalibr_keeps_a_fisheye_lens_and_refuses_a_rational_one(tmp_path):
     assert numbers(lens) == numbers(head.cameras["left_wide"].intrinsics)
     with pytest.raises(VergenceError, match=r"rational lens.*--lens radial-tangential or fisheye"):
         kalibr.save(with_lens(unskewed_head(22), "rational"), tmp_path / "other.yaml")
-
-
-def test_a_file_without_a_lens_model_has_the_five_coefficients(tmp_path):
-    head = unskewed_head(23)
-    opencv.save(head, tmp_path / "head.json")
-    text = (tmp_path / "head.json").read_text().replace('"lens_model"', '"note"')
-    (tmp_path / "head.json").write_text(text)
-    assert numbers(opencv.load(tmp_path / "head.json")) == numbers(head)

@@ -43,10 +43,9 @@ def test_the_prior_has_the_derivatives_that_it_states(there: Camera):
     assert information[-1] == pytest.approx((ends[0][1][-1] - ends[1][1][-1]) / 2e-6, rel=1e-5)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_a_fisheye_lens_of_which_boards_show_the_middle_is_none_that_nobody_builds(seed: int):
+def test_a_fisheye_lens_of_which_boards_show_the_middle_is_none_that_nobody_builds():
     """The last coefficients are open: without a prior they were up to 90."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     T = boards(8, rng)
     T[:, :2, 3] *= 0.3
     T[:, 2, 3] += 0.3

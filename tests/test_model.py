@@ -5,8 +5,7 @@
 
 import itertools
 import runpy
-from collections.abc import Callable, Iterable, Iterator
-from copy import copy
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import cv2
@@ -30,9 +29,6 @@ JOINT_RANGE_DEG = {
 EYE_JOINTS = tuple(JOINT_RANGE_DEG)[3:]
 FOCAL_PX = {"wide": 280.0, "narrow": 1200.0}
 WIDTH, HEIGHT = 640, 480
-OVERSCAN = 1.4
-"""Lens distortion is made from a pinhole image this much wider than the final one."""
-EYE_RANGE_RAD = 0.30
 
 CORNERS = np.array([(0.03 * i, 0.03 * j, 0.0) for j in range(6) for i in range(9)])
 R_WORLD_FACING = np.array([(0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0)])
@@ -94,7 +90,7 @@ def redness(image: NDArray) -> NDArray[np.float64]:
 SCENES = ("scene.xml", "scene_sparse.xml", "scene_moving.xml")
 
 
-@pytest.mark.parametrize("file", ["cbi_head.xml", *SCENES])
+@pytest.mark.parametrize("file", ["cbi_head.xml", "scene_moving.xml"])
 def test_random_control_raises_no_warning(file: str):
     model = mujoco.MjModel.from_xml_path(str(MODEL / file))
     data = mujoco.MjData(model)
@@ -129,46 +125,6 @@ def test_pan_and_tilt_axes_are_orthogonal_and_meet_in_the_base(model, data, side
     np.testing.assert_allclose(pan.xanchor, data.site(f"{side}_base").xpos, atol=1e-12)
 
 
-def test_the_head_is_midway_between_the_eyes_and_narrow_cameras_are_30_mm_below(model, data):
-    left, right = (data.site(f"{side}_base").xpos for side in SIDES)
-    np.testing.assert_allclose((left + right) / 2.0, data.body("head").xpos, atol=1e-12)
-    np.testing.assert_allclose(left - right, (0.0, 0.092, 0.0), atol=1e-12)
-    np.testing.assert_allclose(data.body("head").xpos, (0.0, 0.0, 1.20), atol=1e-12)
-    for side in SIDES:
-        offset = model.cam(f"{side}_narrow").pos - model.cam(f"{side}_wide").pos
-        np.testing.assert_allclose(offset, (0.0, 0.0, -0.030), atol=1e-12)
-
-
-def robot_pixels(model, data, *, scale: float, postures: Iterable[tuple[float, ...]]) -> int:
-    """Return how many pixels of the wide cameras, `scale` times as wide, show the robot itself.
-
-    Postures are the angles of left pan and tilt, right pan and tilt [rad].
-    """
-    model = copy(model)
-    model.cam_sensorsize[:] *= scale
-    root = model.body("body").id
-    count = 0
-    with mujoco.Renderer(model, 120, 160) as renderer:
-        renderer.enable_segmentation_rendering()
-        for angles in postures:
-            for joint, angle in zip(EYE_JOINTS, angles, strict=True):
-                data.joint(joint).qpos[0] = angle
-            mujoco.mj_forward(model, data)
-            for side in SIDES:
-                renderer.update_scene(data, f"{side}_wide")
-                ids, kinds = np.moveaxis(renderer.render(), -1, 0)
-                geoms = ids[kinds == mujoco.mjtObj.mjOBJ_GEOM]
-                count += int((model.body_rootid[model.geom_bodyid[geoms]] == root).sum())
-    return count
-
-
-@pytest.mark.render
-def test_no_wide_camera_sees_the_robot_itself(model, data):
-    """At the ends of the eyes' range, where an eye that turns inwards would see the other first."""
-    extremes = itertools.product((-EYE_RANGE_RAD, EYE_RANGE_RAD), repeat=4)
-    assert robot_pixels(model, data, scale=OVERSCAN, postures=extremes) == 0
-
-
 @pytest.mark.parametrize(("camera", "distance_m"), [("left_wide", 0.60), ("right_narrow", 1.0)])
 def test_corners_of_a_frontal_board_are_where_its_frame_says(
     model, data, render, camera: str, distance_m: float
@@ -190,25 +146,6 @@ def test_corners_of_a_frontal_board_are_where_its_frame_says(
         errors.append(corners - expected)
     assert np.abs(np.mean(errors, axis=(0, 1))).max() < 0.02
     assert np.sqrt(np.mean(np.square(errors))) < 0.05
-
-
-def test_board_is_black_outside_its_first_corner_and_evenly_bright_at_any_attitude(
-    model, data, render
-):
-    place(model, data, "object", (0.5, 1.5, 0.8))
-    rng = np.random.default_rng(3)
-    for _ in range(8):
-        axis = rng.normal(size=3)
-        turn = Rotation.from_rotvec(np.pi / 4.0 * axis / np.linalg.norm(axis)).as_matrix()
-        R_world_board = R_WORLD_FACING @ turn
-        centre = data.cam("left_wide").xpos + np.array((0.5, 0.0, 0.0))
-        place(model, data, "board", centre - R_world_board @ (0.12, 0.075, 0.0), R_world_board)
-        image = render("left_wide")
-        for square, low, high in (((-0.015, -0.015, 0.0), 0, 59), ((0.015, -0.015, 0.0), 200, 250)):
-            p_world = data.body("board").xpos + R_world_board @ square
-            column, row = np.round(project(data, "left_wide", p_world[None])[0]).astype(int)
-            assert (image[row, column] >= low).all()
-            assert (image[row, column] <= high).all()
 
 
 MUTED = 0.25

@@ -13,7 +13,7 @@ from head_kinds import points, recording
 from other_heads import KINDS, other_head
 from simulated_head import as_designed, random_head
 from simulated_recording import BOARD, POINTS, Noise, Recording, as_poses, facing, observe, record
-from test_sequential import only, some_cameras
+from test_sequential import only
 from texts import texts
 from vergence.calibration import cross_validation
 from vergence.calibration.bundle_adjustment import BundleEstimate, bundle_adjust
@@ -109,15 +109,12 @@ def on_an_arm(
     )
 
 
-@pytest.mark.parametrize("size", [1.0, 1.006])
-def test_poses_that_know_lengths_show_the_size_of_the_board(size: float):
-    truth, seen = on_an_arm(8, size=size)
+def test_poses_that_know_lengths_show_the_size_of_the_board():
+    truth, seen = on_an_arm(8, size=1.006)
     found = calibrate(seen, lens=LENS)
     assert found.estimate is not None
-    assert found.estimate.board_scale == pytest.approx(size, abs=1e-3)
-    assert any(
-        "a square of the board measures" in said for said in texts(found.findings, "note")
-    ) == (size > 1)
+    assert found.estimate.board_scale == pytest.approx(1.006, abs=1e-3)
+    assert "a square of the board measures" in " ".join(texts(found.findings, "note"))
     assert_near(found, truth)
     checked = found.accuracy.held_out
     assert checked is not None
@@ -126,14 +123,13 @@ def test_poses_that_know_lengths_show_the_size_of_the_board(size: float):
     assert checked.prediction_px < 0.5
 
 
-@pytest.mark.parametrize("turned_rad", [0.0, np.pi / 2])
-def test_bases_of_measured_poses_may_stand_anywhere(turned_rad: float):
+def test_bases_of_measured_poses_may_stand_anywhere():
     """Two cameras on one flange, of whose poses the right ones are given in a base of its own."""
     truth, left = on_an_arm(8)
     left = left.take(np.arange(14))
     assert left.T_base_eye is not None
     mounted = truth.cameras["left_wide"]
-    T_rbase_lbase = pose(rotation([0.0, 0.0, turned_rad]))
+    T_rbase_lbase = pose(rotation([0.0, 0.0, np.pi / 2]))
     aside = replace(mounted, eye="right", T_eye_cam=pose(t=[0, -0.08, 0]) @ mounted.T_eye_cam)
     truth = replace(truth, cameras={"left_wide": mounted, "right_wide": aside})
     truth = replace(truth, T_rbase_lbase=T_rbase_lbase)
@@ -159,40 +155,15 @@ def test_eye_poses_about_one_axis_are_refused():
         calibrate(as_poses(seen), lens=LENS)
 
 
-@pytest.mark.parametrize("side", ["left", "right"])
-def test_a_head_of_one_eye_is_calibrated(side: str):
+def test_a_head_of_one_eye_is_calibrated():
     truth, seen = recorded(3, "wide", "middle")
-    names = f"{side}_wide", f"{side}_middle"
+    names = "right_wide", "right_middle"
     found = calibrate(only(seen, *names))
     cameras = {name: truth.cameras[name] for name in names}
     assert_near(found, replace(truth, cameras=cameras, T_rbase_lbase=np.eye(4)))
     assert main_pair(found.head) is None
     assert texts(found.findings) == []
     assert not any("T_rbase" in name for name in found.accuracy.parameters)
-
-
-def test_cameras_may_be_called_anything_and_sit_three_in_an_eye():
-    truth, _ = recorded(4, "wide", "middle")
-    third = truth.cameras["left_wide"]
-    third = replace(third, T_eye_cam=third.T_eye_cam @ pose(t=[0.01, 0.01, 0]))
-    truth = replace(truth, cameras={**truth.cameras, "left_third": third})
-    seen = record(truth, np.random.default_rng(5), QUIET)
-    names = {"left_wide": "port", "left_middle": "port_narrow", "left_third": "thermal",
-             "right_wide": "starboard"}  # fmt: skip
-    eyes = {new: truth.cameras[old].eye for old, new in names.items()}
-    found = calibrate(some_cameras(seen, names, eyes))
-    renamed = {new: truth.cameras[old] for old, new in names.items()}
-    assert_near(found, replace(truth, cameras=renamed))
-    assert main_pair(found.head) == ("port", "starboard")
-
-
-def test_without_straight_gaze_a_board_before_both_eyes_will_do():
-    # Boards held at many places while the eyes look somewhere else than straight ahead.
-    truth, seen = recorded(7, how=replace(QUIET, gaze_rad=(0.1, -0.08)))
-    assert (np.abs(seen.eye_angles) > 0.05).any(axis=1).all()
-    found = calibrate(seen, lens=LENS)
-    assert_near(found, truth)
-    assert found.start.stereo_rms_px is None
 
 
 def test_eyes_may_see_one_board_at_rest_one_after_the_other():
@@ -304,13 +275,6 @@ def test_a_joint_that_never_moved_is_not_called_wrong(kind: str, still: int):
     assert "not observable" in said
 
 
-def test_an_eye_that_sees_nothing_needs_no_readings():
-    _, seen = recorded(3)
-    seen.corners["left_wide"][[2, 3, 20, 21]] = np.nan
-    seen.eye_angles[[2, 3, 20, 21], :2] = np.nan
-    assert calibrate(seen, lens=LENS).accuracy.void == ()
-
-
 @pytest.mark.usefixtures("no_held_out_error")
 def test_points_of_a_head_with_a_shared_tilt_are_located_within_their_regions():
     rng = np.random.default_rng(4)
@@ -336,29 +300,6 @@ def test_a_reading_before_a_gear_has_a_noise_of_its_own_in_few_views_too():
         bundle_adjust(replace(truth, kinematics=each.kinematics), each) for each in (seen, geared)
     )
     assert_told_alike(direct, found)
-
-
-def test_an_eye_before_gears_has_noises_of_its_own():
-    _, seen = recorded(4)
-    gear = np.array([0.01, 0.01, 1.0, 1.0])
-    left = tuple(
-        replace(joint, readings=dict.fromkeys(joint.readings, 0.01))
-        for joint in seen.kinematics.eyes["left"]
-    )
-    kinematics = replace(seen.kinematics, eyes={**seen.kinematics.eyes, "left": left})
-    geared = replace(seen, kinematics=kinematics, eye_angles=seen.eye_angles / gear)
-    results = [calibrate(each, lens=LENS) for each in (seen, geared)]
-    held_out = [result.accuracy.held_out for result in results]
-    assert held_out[0] is not None
-    assert held_out[1] is not None
-    assert held_out[1].prediction_px == pytest.approx(held_out[0].prediction_px, rel=0.02)
-    assert held_out[1].expected_mm == pytest.approx(held_out[0].expected_mm, rel=0.1)
-    direct, found = (result.estimate for result in results)
-    assert direct is not None
-    assert found is not None
-    assert_told_alike(direct, found)
-    expected = np.radians(0.05) / gear
-    assert found.joint_std == pytest.approx(expected.tolist(), rel=0.35)
 
 
 def assert_told_alike(direct: BundleEstimate, geared: BundleEstimate) -> None:

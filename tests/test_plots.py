@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
@@ -76,16 +75,6 @@ def test_a_figure_that_located_nothing_says_so(tmp_path: Path):
     save_figures(tmp_path / "figures.png", [nothing])
     assert (tmp_path / "figures.png").exists()
     assert plots.table_cells(nothing.figure, nothing.statistics)[2][1:] == ["not located"] * 3
-
-
-def test_the_folder_holds_the_picture_and_nothing_else(tmp_path: Path):
-    path, images = tmp_path / "new" / "figures.png", []
-    for _ in range(2):
-        save_figures(path, [result(6)])
-        images.append(cv2.imread(str(path)))
-    assert images[0] is not None
-    np.testing.assert_array_equal(*images)
-    assert list(path.parent.iterdir()) == [path]
 
 
 def test_an_error_of_depth_costs_in_proportion_and_less_far_away():

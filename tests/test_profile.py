@@ -61,20 +61,6 @@ def test_an_unknown_or_impossible_value_is_refused_by_name(write, text: str):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("text", ["[joints", "noise = ", "a = 1\na = 2", b"\xff\xfe\x00"])
-def test_what_is_not_toml_is_refused(write, text: str | bytes):
-    with pytest.raises(VergenceError, match=r"mine\.toml.* not an error profile: .*(at |UTF-8)"):
-        load_profile(write(text))
-
-
-def test_a_file_that_cannot_be_read_is_named(tmp_path: Path):
-    with pytest.raises(VergenceError, match=r"Cannot read .*none\.toml: No such file"):
-        load_profile(str(tmp_path / "none.toml"))
-    (tmp_path / "folder.toml").mkdir()
-    with pytest.raises(VergenceError, match="it is a folder"):
-        load_profile(str(tmp_path / "folder.toml"))
-
-
 @pytest.mark.parametrize("name", ["perfect", "Ideal", "", "ideal.yaml", "../ideal"])
 def test_an_unknown_name_is_answered_with_the_known_ones(name: str):
     with pytest.raises(VergenceError, match=r"there are ideal, noise-only, paper"):

@@ -115,24 +115,6 @@ def test_a_recording_passes_the_viewers_own_check_and_brings_its_layout(recorded
     assert_valid(recorded)
 
 
-def test_the_robot_stands_upright_in_the_view(recorded: Path):
-    """Vertical lines are parallel in an image only if the camera looks horizontally."""
-    reader, view = RrdReader(recorded), {}
-    for chunk in reader.stream(store=reader.blueprints()[0]):
-        batch = chunk.to_record_batch()
-        prefix = "EyeControls3D:"
-        found = {
-            name.removeprefix(prefix): np.array(batch.column(name).to_pylist()[0][0])
-            for name in batch.schema.names
-            if name.startswith(prefix)
-        }
-        view[chunk.entity_path] = {**view.get(chunk.entity_path, {}), **found}
-    heads = [eye for eye in view.values() if eye and eye["look_target"][2] > 1]  # above the floor
-    assert len(heads) == 1
-    np.testing.assert_allclose(heads[0]["eye_up"], [0, 0, 1])
-    assert heads[0]["position"][2] == heads[0]["look_target"][2]
-
-
 def test_series_come_back_to_the_last_digit(recorded: Path):
     located = np.delete(np.arange(SAMPLES), DROPPED)
     for k, axis in enumerate("xyz"):
@@ -180,14 +162,6 @@ def test_marks_lie_half_a_pixel_on_and_only_within_the_image(recorded: Path):
     assert crosses("left_narrow") == [[]] * (SAMPLES // EVERY)
 
 
-def test_recordings_of_two_runs_are_not_taken_for_one(recorded, tmp_path, head):
-    path = tmp_path / recorded.name
-    with figure_recording(path, FIGURE, head, []):
-        pass
-    ids = {RrdReader(p).recordings()[0].recording_id for p in (recorded, path)}
-    assert len(ids) == 2
-
-
 def interrupt(path: Path, head: HeadCalibration, interruption: type[BaseException]) -> None:
     with figure_recording(path, FIGURE, head, []) as rec:
         log_report(rec, "half")
@@ -205,18 +179,6 @@ def test_an_interrupted_recording_leaves_nothing_and_spares_the_one_before(
             interrupt(path, head, interruption)
     assert list((tmp_path / "new").iterdir()) == []
     assert before.read_text() == "before"
-
-
-def test_bad_data_is_refused_not_dropped(tmp_path: Path, head: HeadCalibration):
-    with (
-        pytest.raises(ValueError, match="length"),
-        figure_recording(tmp_path / "fig06.rrd", FIGURE, head, []) as rec,
-    ):
-        rec.send_columns(
-            "estimate/x",
-            [rr.TimeColumn("frame", sequence=[0, 1])],
-            rr.Scalars.columns(scalars=[0.0]),
-        )
 
 
 def test_estimates_and_lines_of_sight_hang_in_the_left_eyes_base_frame(recorded: Path, head):

@@ -49,13 +49,12 @@ def built(seed: int, joints: Kinematics | None = None) -> HeadCalibration:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("seed", [0, 1])
-def test_the_truth_has_its_cameras_where_mujoco_has_them(seed: int, kind: str):
+def test_the_truth_has_its_cameras_where_mujoco_has_them(kind: str):
     """At random angles of all joints, with every imperfection: to 1e-9."""
-    truth = built(seed, KINDS[kind]())
+    truth = built(0, KINDS[kind]())
     model = compile_head(truth, overscan_sizes(truth))
     data = mujoco.MjData(model)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     for _ in range(10):
         angles = rng.uniform(-0.4, 0.4, len(NECK_JOINTS) + len(truth.kinematics.readings))
         names = (*NECK_JOINTS, *chain.from_iterable(hinges(truth.kinematics).values()))
@@ -72,24 +71,6 @@ def test_the_truth_has_its_cameras_where_mujoco_has_them(seed: int, kind: str):
             camera = data.camera(name)
             np.testing.assert_allclose(T[:3, 3], camera.xpos, atol=1e-9)
             np.testing.assert_allclose(T[:3, :3], camera.xmat.reshape(3, 3), atol=1e-9)
-
-
-def test_the_same_seed_builds_the_same_head_and_another_seed_another():
-    one, same, other = built(0), built(0), built(1)
-    np.testing.assert_array_equal(one.T_rbase_lbase, same.T_rbase_lbase)
-    assert np.abs(one.T_rbase_lbase - other.T_rbase_lbase).max() > 1e-4
-    for a, b, c in zip(*(head.cameras.values() for head in (one, same, other)), strict=True):
-        np.testing.assert_array_equal(a.T_eye_cam, b.T_eye_cam)
-        np.testing.assert_array_equal(a.intrinsics.matrix, b.intrinsics.matrix)
-        assert np.abs(a.T_eye_cam - c.T_eye_cam).max() > 1e-4
-        assert np.abs(a.intrinsics.matrix - c.intrinsics.matrix).max() > 0.1
-
-
-def test_the_lenses_have_the_papers_focal_lengths():
-    for lens, focal in (("2.8mm", 280.0), ("4.0mm", 400.0)):
-        cameras = nominal_head(lens).cameras
-        assert cameras["left_wide"].intrinsics.matrix[0, 0] == pytest.approx(focal)
-        assert cameras["left_narrow"].intrinsics.matrix[0, 0] > 2.5 * focal
 
 
 # Frames
@@ -176,13 +157,6 @@ def test_backlash_shows_when_a_posture_is_reached_from_both_sides(make: Make):
         errors.append(np.degrees(exposure.frame.eye_angles - twin.true_angles()[EYES]))
     # A servo that overshoots by a little takes that much of the play back.
     np.testing.assert_allclose(errors[0] - errors[1], 0.5, atol=0.05)
-
-
-def test_the_eyes_follow_their_commands(perfect: Twin):
-    goal = np.array([0.1, -0.1, 0.2, 0.25, -0.2, -0.15, 0.1])
-    perfect.restart(0)
-    perfect.settle(goal, seconds=1.5)
-    np.testing.assert_allclose(perfect.true_angles()[EYES], goal[EYES], atol=2e-3)
 
 
 def test_the_motion_does_not_depend_on_where_it_is_stopped(perfect: Twin):

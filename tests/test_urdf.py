@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from simulated_head import unskewed_head
 from vergence.errors import VergenceError
-from vergence.geometry.head import base_pose, base_pose_in_body, camera_pose_in_base
+from vergence.geometry.head import base_pose_in_body, camera_pose_in_base
 from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics
@@ -65,22 +65,6 @@ def test_the_urdf_moves_as_the_head_does(seed, tmp_path_factory):
         )
         wanted = T_body_eye_base @ camera_pose_in_base(head, name, eyes)
         np.testing.assert_allclose(tree.T_root(f"{name}_optical_frame", angles), wanted, atol=1e-12)
-
-
-def test_a_head_with_perfect_axes_has_plain_joints(tmp_path):
-    head = replace(unskewed_head(10), kinematics=Kinematics(), neck=Neck())
-    urdf.save(head, tmp_path / "head.urdf")
-    robot = ElementTree.parse(tmp_path / "head.urdf").getroot()
-    revolute = {j.get("name"): j for j in robot.iter("joint") if j.get("type") == "revolute"}
-    assert set(revolute) == set(EYE_JOINTS)
-    assert all(j.find("mimic") is None for j in revolute.values())
-    assert limits_rad(revolute["left_pan"]) == (-1.5708, 1.5708)
-    links = [link.get("name") for link in robot.iter("link")]
-    assert len(links) == len(set(links))
-    children = [child.get("link") for child in robot.iter("child")]
-    assert sorted([*children, "body"], key=str) == sorted(links, key=str)
-    T = Tree(tmp_path / "head.urdf").T_root("right_base", {})
-    np.testing.assert_allclose(T, base_pose(head, "right"), atol=1e-12)
 
 
 def limits_rad(joint: ElementTree.Element) -> tuple[float, float]:

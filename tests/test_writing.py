@@ -118,9 +118,7 @@ def test_a_folder_is_marked_if_a_run_that_failed_had_written_there(tmp_path, wro
 
 
 @pytest.mark.render  # which the import of a demo needs
-@pytest.mark.parametrize(
-    "words", ["foveate", "track", "grasp", "depth --twin", "calibrate set --out a.json"]
-)
+@pytest.mark.parametrize("words", ["track", "depth --twin", "calibrate set --out a.json"])
 def test_a_second_command_into_a_folder_is_refused_before_its_work(
     words, tmp_path, monkeypatch, capsys
 ):
@@ -157,13 +155,6 @@ def test_permissions_are_those_of_the_user_and_stay(tmp_path):
     subprocess.run([sys.executable, "-c", program], cwd=tmp_path, check=True)
     modes = {path.name: path.stat().st_mode & 0o777 for path in tmp_path.iterdir()}
     assert modes == {"new.txt": 0o600, "shared.txt": 0o664, "set": 0o700}
-
-
-@pytest.mark.parametrize("name", ["[a-z]*?.txt", ".hidden", "a" * 250, "\N{GREEK SMALL LETTER PI}"])
-def test_odd_names_are_written(tmp_path, name):
-    for text in ("one", "two"):
-        write_whole(tmp_path / name, text)
-    assert [path.name for path in tmp_path.iterdir()] == [name]
 
 
 def test_a_folder_is_written_whole_or_not_at_all(tmp_path):
@@ -216,15 +207,14 @@ def test_an_output_that_is_also_an_input_is_refused(tmp_path):
 
 
 @pytest.mark.render
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_stopped_command_says_what_it_had_finished(tmp_path, number):
+def test_a_stopped_command_says_what_it_had_finished(tmp_path):
     out = tmp_path / "paper"
     command = [sys.executable, "-m", "vergence", "reproduce", "--out", str(out)]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     while not (out / UNFINISHED).exists() and process.poll() is None:
         time.sleep(0.02)
-    process.send_signal(number)
+    process.send_signal(signal.SIGTERM)
     _, said = process.communicate()
-    assert process.returncode in (128 + number, -signal.SIGINT), said
+    assert process.returncode == 128 + signal.SIGTERM, said
     assert said.strip().splitlines()[-1] == "vergence: stopped; nothing was written."
     assert not out.exists()

@@ -15,14 +15,11 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
 from vergence.errors import VergenceError, explain
-
-if sys.platform != "win32":
-    import fcntl
 
 T = TypeVar("T")
 
@@ -198,10 +195,13 @@ def results_folder(folder: Path | None) -> Iterator[None]:
         yield
         return
     check_writable(folder, folder=True)
-    mark, new = folder / UNFINISHED, not folder.exists()
-    with _writing(folder), _removed_if_empty(folder, new=new), _locked(folder):
-        _remove_temporary(folder)
+    mark, new, lock = folder / UNFINISHED, not folder.exists(), None
+    with _writing(folder):
         try:
+            folder.mkdir(parents=True, exist_ok=True)
+            lock = _lock(folder)
+            for path in folder.glob(f".*{TEMPORARY}"):  # of a process that was killed
+                shutil.rmtree(path, ignore_errors=True)
             mark.write_text(
                 f"The run that began at {time.strftime('%Y-%m-%d %H:%M:%S')} has not finished: "
                 "files of this folder may be of different runs. A run that finishes removes this "
@@ -209,57 +209,39 @@ def results_folder(folder: Path | None) -> Iterator[None]:
             )
             yield
             mark.unlink(missing_ok=True)
+        except BlockingIOError:
+            raise VergenceError(
+                f"Another process is writing results into {folder}; wait for it, or name another "
+                "folder."
+            ) from None
         except BaseException:
-            _remove_temporary(folder)
-            if set(folder.iterdir()) <= {mark}:  # the folder holds no results
+            for path in folder.glob(f".*{TEMPORARY}"):
+                shutil.rmtree(path, ignore_errors=True)
+            if folder.exists() and set(folder.iterdir()) <= {mark}:  # it holds no results
                 mark.unlink(missing_ok=True)
                 if new:
                     folder.rmdir()
             raise
+        finally:
+            if lock is not None:
+                os.close(lock)
 
 
-@contextmanager
-def _removed_if_empty(folder: Path, *, new: bool) -> Iterator[None]:
-    """Remove a new folder that is still empty when a signal interrupts a `with` block."""
-    try:
-        yield
-    except Exception:  # such as another process's lock on the folder
-        raise
-    except BaseException:
-        if new:
-            with suppress(OSError):
-                folder.rmdir()
-        raise
-
-
-@contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    """Create a folder and lock it; VergenceError if another process holds the lock."""
-    folder.mkdir(parents=True, exist_ok=True)
+def _lock(folder: Path) -> int | None:
+    """Open and lock a folder; BlockingIOError if another process holds the lock."""
     if sys.platform == "win32":
-        yield
-        return
+        return None
+    import fcntl
+
     handle = os.open(folder, os.O_RDONLY)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         os.close(handle)
-        raise VergenceError(
-            f"Another process is writing results into {folder}; wait for it, or name another "
-            "folder."
-        ) from None
+        raise
     except OSError:
         pass  # a network drive without locks
-    try:
-        yield
-    finally:
-        os.close(handle)
-
-
-def _remove_temporary(folder: Path) -> None:
-    """Remove what killed processes were writing into a folder of results."""
-    for path in folder.glob(f".*{TEMPORARY}"):
-        shutil.rmtree(path, ignore_errors=True)
+    return handle
 
 
 def write_whole(path: Path, text: str) -> None:

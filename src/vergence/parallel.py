@@ -109,8 +109,6 @@ def _run(task: Callable[[Progress], T], steps: Path, parent: int, count: int) ->
         with steps.open("a") as file:
             file.write(json.dumps(step) + "\n")
 
-    if os.getppid() != parent:  # in a cluster
-        return task(silent)
     _settle(parent, count)
     return task(tell)
 

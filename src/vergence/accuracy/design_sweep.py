@@ -8,13 +8,10 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 
-import joblib
 import numpy as np
 
 from vergence.accuracy.design import (
@@ -196,16 +193,11 @@ def by_source(settings: DesignSettings, values: dict[str, float], points: Array)
     return np.concatenate([by_noise, seen.calibration / values["views"]])
 
 
-TIMEOUT_S = 10
-"""Time [s] within which the scheduler of a cluster must answer."""
-
-
 def sweep(
     settings: DesignSettings,
     folder: Path,
     *,
     jobs: int = 1,
-    cluster: str | None = None,
     progress: Progress = silent,
 ) -> Sweep:
     """Sweep designs: read finished chunks from a folder, and write the others there."""
@@ -224,8 +216,7 @@ def sweep(
         progress("sweeping designs", len(found), len(each))
 
     try:
-        with _backend(cluster):
-            run_tasks([partial(_numbered, k, chunk) for k, chunk in missing], keep, jobs=jobs)
+        run_tasks([partial(_numbered, k, chunk) for k, chunk in missing], keep, jobs=jobs)
     except KeyboardInterrupt as stop:
         stop.add_note(
             f"{len(found)} of {len(each)} parts finished; the same command goes on from there"
@@ -259,27 +250,3 @@ def read_chunk(file: Path, shape: tuple[int, ...]) -> Array | None:
 
 def _numbered(k: int, chunk: DesignSettings, progress: Progress) -> tuple[int, Array]:
     return k, compute_chunk(chunk)
-
-
-@contextmanager
-def _backend(cluster: str | None) -> Iterator[None]:
-    """Let joblib use a Dask cluster in a `with` block; None: processes of this machine."""
-    if cluster is None:
-        yield
-        return
-    try:
-        from distributed import Client  # pyright: ignore[reportMissingImports]  # optional
-    except ImportError:
-        raise VergenceError(
-            "A cluster needs Dask, which is not installed; `pip install 'vergence[cluster]'` "
-            "installs it."
-        ) from None
-    try:
-        client = Client(cluster, timeout=TIMEOUT_S)
-    except (OSError, ValueError, TypeError) as error:
-        raise VergenceError(
-            f"No Dask scheduler answers at {cluster!r}, which should be like "
-            f"tcp://192.168.1.10:8786 ({type(error).__name__})."
-        ) from None
-    with client, joblib.parallel_config(backend="dask"):
-        yield

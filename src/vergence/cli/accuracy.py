@@ -85,7 +85,6 @@ def design(
     pixel_noise_px: Optional[tuple[float, ...]] = None,
     delay_ms: Optional[tuple[float, ...]] = None,
     jobs: int = -1,
-    cluster: Optional[str] = None,
 ) -> Report:
     """Compare designs of a head, and find the cheapest that is as accurate as wanted.
 
@@ -105,7 +104,6 @@ def design(
         pixel_noise_px: Levels of noise of a point in an image to try.
         delay_ms: Unknown delays of joint readings to try.
         jobs: Processes on this machine; -1: one for each core.
-        cluster: Address of a Dask scheduler, which then does the work: tcp://HOST:PORT.
     """
     options = dict(locals())
     from vergence.accuracy.design_settings import AXES, merged_settings
@@ -118,7 +116,7 @@ def design(
     axes = {name: options[name] for name in AXES if options[name] is not None}
     chosen = merged_settings(settings, axes, at_m=at_m)
     with progress_bars() as progress, results_folder(out):
-        swept = sweep(chosen, out / "chunks", jobs=jobs, cluster=cluster, progress=progress)
+        swept = sweep(chosen, out / "chunks", jobs=jobs, progress=progress)
         return write_design(out, swept, accuracy_m=1e-3 * accuracy_mm, distance_m=at_m)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.errors import VergenceError, check_seed
-from vergence.files import results_folder, write_json
+from vergence.files import as_json, results_folder, write_json
 from vergence.gaze.commands import EYE_READINGS
 from vergence.gaze.state import GazeSettings, GazeState
 from vergence.geometry.head import base_pose_in_body
@@ -99,15 +99,11 @@ def check_trials(trials: int) -> None:
         raise VergenceError(f"Asked for {trials} trials; from 1 to 10000 can be made.")
 
 
-def write_summary(out: Path | None, name: str, summary: DataclassInstance) -> None:
-    """Write a demo's summary to `name`.json in a folder; None: nothing is written."""
-    if out is not None:
-        write_json(summary, out / f"{name}.json")
-
-
 Watch = Callable[[GazeState, Frame | None, Mapping[str, str], Array | None], None]
 """A function that records a state and its frame, further phases by lane, and the position (3,) [m]
 of a hand in frame body. Without a frame it records nothing."""
+Finish = Callable[["DataclassInstance"], None]
+"""A function that writes the summary of the runs."""
 
 
 @contextmanager
@@ -120,25 +116,28 @@ def recorded(
     reach_m: float,
     speed: float = 1.0,
     hand: bool = False,
-) -> Iterator[tuple[Watch, list[str]]]:
+) -> Iterator[tuple[Watch, Finish]]:
     """Record runs in a `with` block to `name`.rrd in the experiment's folder, if it has one.
 
     Runs, each with its time from zero, follow each other on one timeline. Images are recorded of
     the frames that have those of all cameras. The 3-D view reaches as far as stated [m]; `speed` is
-    that of the playback. Yields the function to call, and a list for the lines of the report in
-    Markdown. Raises VergenceError if the file cannot be written.
+    that of the playback. Yields the function to call for each frame, and the one that writes a
+    summary to `name`.json and into the recording. VergenceError if a file cannot be written.
     """
     title = f"{name}, profile {experiment.profile.name}, seed {experiment.seed}"
-    report = [f"# {title}", ""]
     if experiment.out is None:
-        yield lambda *_: None, report
+        yield lambda *_: None, lambda _: None
         return
     head, seen = settings.calibration, settings.geometry == "seen"
     layout = gaze_blueprint(title, head, reach_m=reach_m, speed=speed, hand=hand, seen=seen)
-    file = experiment.out / f"{name}.rrd"
+    file, json = (experiment.out / f"{name}.{ending}" for ending in ("rrd", "json"))
     with recording_file(file, title, layout, head, visual_geoms(twin.model)) as rec:
-        yield _watch(rec, twin, settings), report
-        log_report(rec, "\n".join(report))
+
+        def finish(summary: DataclassInstance) -> None:
+            write_json(summary, json)
+            log_report(rec, f"# {title}\n\n```\n{as_json(summary, digits=4)}```\n")
+
+        yield _watch(rec, twin, settings), finish
 
 
 def _watch(rec: Recording, twin: Twin, settings: GazeSettings) -> Watch:

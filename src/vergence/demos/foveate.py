@@ -22,10 +22,7 @@ from vergence.demos.experiment import (
     initial_geometry,
     p95,
     recorded,
-    write_summary,
 )
-from vergence.errors import counted
-from vergence.files import markdown_table
 from vergence.gaze.controller import run_gaze
 from vergence.gaze.state import GazePhase, GazeSettings, GazeState, initial_gaze_state
 from vergence.progress import Progress, silent
@@ -177,7 +174,7 @@ def foveate(
         calibrated_twin(experiment, progress) as (twin, settings),
         recorded(experiment, "foveate", twin, settings, reach_m=DEPTH_M[1], speed=PLAYBACK) as (
             watch,
-            report,
+            finish,
         ),
     ):
         if experiment.out is not None:
@@ -195,27 +192,6 @@ def foveate(
             made.append(run_trial(twin, settings, number, target, geometry=known, watch=record))
             known = made[-1].geometry
         progress("foveate, trials", trials, trials)
-        report += as_markdown(made[:RECORDED])
         found = summary(made)
-        write_summary(experiment.out, "foveate", found)
+        finish(found)
     return found, made
-
-
-def as_markdown(trials: list[Trial]) -> list[str]:
-    """Write the lines of a report on trials."""
-    columns = (
-        "object | distance [m] | initial error [px] | final error [px] | "
-        f"within {SETTLED_PX:g} px after [s]"
-    )
-    rows = [
-        (
-            number,
-            f"{np.linalg.norm(trial.target_head):.2f}",
-            f"{trial.errors_px[0].max():.0f}",
-            f"{trial.final_px:.2f}",
-            f"{trial.settle_s:.2f}",
-        )
-        for number, trial in enumerate(trials, start=1)
-    ]
-    about = f"The first {counted(len(trials), 'object')}, each for {WITHIN_S} s."
-    return [about, "", markdown_table(columns, rows)]

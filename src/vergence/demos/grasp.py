@@ -22,10 +22,7 @@ from vergence.demos.experiment import (
     initial_geometry,
     p95,
     recorded,
-    write_summary,
 )
-from vergence.errors import counted
-from vergence.files import markdown_table
 from vergence.gaze.reaching import (
     ReachPhase,
     ReachSettings,
@@ -186,7 +183,7 @@ def grasp(
         calibrated_twin(experiment, progress) as (twin, gaze),
         recorded(experiment, "grasp", twin, gaze, reach_m=FAR_M[0], speed=0.5, hand=True) as (
             watch,
-            report,
+            finish,
         ),
     ):
         settings = ReachSettings(gaze=gaze)
@@ -204,30 +201,5 @@ def grasp(
             known = made[-1].geometry
         progress("grasp, trials", trials, trials)
         found = summary(made)
-        report += as_markdown(found)
-        write_summary(experiment.out, "grasp", found)
+        finish(found)
     return found, made
-
-
-def as_markdown(found: Summary) -> list[str]:
-    """Write the lines of a report."""
-    lines = [
-        f"The hand closed within {1e3 * WITHIN_M:.0f} mm of the object's centre in "
-        f"{found.within:.0%} of {counted(found.trials, 'trial')}.",
-        "",
-    ]
-    if found.median_mm is not None and found.unaided_median_mm is not None:
-        lines += [
-            f"- distance from the centre: {found.median_mm:.1f} mm in the median, "
-            f"{found.worst_mm:.1f} mm at worst",
-            f"- by its encoders alone: {found.unaided_median_mm:.0f} mm",
-        ]
-    rows = [
-        (
-            f"{d.from_m:.2f}-{d.to_m:.2f} m",
-            *(f"{mm:.3g} mm" for mm in (d.depth_rms_mm, d.depth_std_mm, d.eq20_mm)),
-        )
-        for d in found.by_distance
-    ]
-    heading = "distance | depth error, rms | standard deviation | Eq. 20"
-    return [*lines, "", markdown_table(heading, rows)]

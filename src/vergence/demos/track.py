@@ -18,7 +18,6 @@ from vergence.demos.experiment import (
     calibrated_twin,
     initial_geometry,
     recorded,
-    write_summary,
 )
 from vergence.errors import VergenceError
 from vergence.gaze.controller import run_gaze
@@ -201,7 +200,7 @@ def track(experiment: Experiment, progress: Progress = silent, *, seconds: float
     seed = experiment.seed
     with (
         calibrated_twin(experiment, progress) as (twin, settings),
-        recorded(experiment, "track", twin, settings, reach_m=DEPTH_M[1]) as (record, report),
+        recorded(experiment, "track", twin, settings, reach_m=DEPTH_M[1]) as (record, finish),
     ):
         hidden_s = float(np.random.default_rng([seed, 7]).uniform(0.3, 0.6)) * seconds
         path = smooth_path(seed, seconds)
@@ -214,20 +213,5 @@ def track(experiment: Experiment, progress: Progress = silent, *, seconds: float
         arguments = twin, settings, 1, path, seconds
         found = follow(*arguments, hidden_s=hidden_s, geometry=geometry, watch=both)
         progress("track, seconds", int(seconds), int(seconds))
-        report += as_markdown(found, hidden_s)
-        write_summary(experiment.out, "track", found)
+        finish(found)
     return found
-
-
-def as_markdown(found: Summary, hidden_s: float) -> list[str]:
-    """Write the lines of a report."""
-    return [
-        f"An object at up to {SPEED_M_S} m/s; hidden from {hidden_s:.1f} s for {HIDDEN_S} s.",
-        "",
-        f"- in both narrow images in {found.in_both:.1%} of {found.frames} frames",
-        f"- {found.rms_px:.2f} px rms from their centres",
-        f"- position: {1e3 * found.position_rms_m:.2f} mm rms, "
-        f"{1e3 * found.single_frame_rms_m:.2f} mm by single frames, "
-        f"{1e3 * found.wide_rms_m:.2f} mm by the wide images alone",
-        f"- found again: {'yes' if found.found_again else 'no'}",
-    ]
