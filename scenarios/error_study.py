@@ -405,7 +405,7 @@ HOLD_OUTS = {
     "parallel to divergent": (0, 2, 4),
     "2.8 mm lens to 4.0 mm": (0, 1, 2, 3),
     "4.0 mm lens to 2.8 mm": (4, 5),
-    **{f"all but Fig. {6 + k}": tuple(i for i in ALL if i != k) for k in ALL},
+    **{f"all except Fig. {6 + k}": tuple(i for i in ALL if i != k) for k in ALL},
 }
 
 

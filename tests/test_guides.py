@@ -203,7 +203,8 @@ def test_the_guide_to_calibration_runs(tmp_path, monkeypatch, capsys):
     head = four_cameras()
     vergence.save_head(head, tmp_path / "calibration.json")
     monkeypatch.chdir(tmp_path)
-    corners, trackers = (b.text for b in blocks("docs/calibrate.md") if b.language == "python")
+    programs = [b.text for b in blocks("docs/calibrate.md") if b.language == "python"]
+    _, corners, trackers = programs
     for code in (trackers, corners):
         names: dict[str, Any] = {}
         exec(compile(code, "calibrate.md", "exec"), names)
@@ -214,6 +215,17 @@ def test_the_guide_to_calibration_runs(tmp_path, monkeypatch, capsys):
         assert np.linalg.norm(off[3:]) < 1e-3
         assert texts(found.findings, "void") == []
     assert capsys.readouterr().out.strip()
+
+
+def test_the_guide_to_calibration_describes_corners_of_another_detector(monkeypatch):
+    """What is calibrated from such corners is in test_calibrate.py."""
+    monkeypatch.setattr(vergence, "calibrate", lambda observations: observations)
+    code = first("docs/calibrate.md", "python")
+    left, right = np.full((2, 3, 54, 2), np.nan)
+    names: dict[str, Any] = {"left": left, "right": right}
+    names |= {"placement": np.array([0, 1, 1]), "readings": np.zeros((3, 4))}
+    exec(compile(code, "calibrate.md", "exec"), names)
+    assert names["result"].corners["right_wide"].shape == (3, 54, 2)
 
 
 def test_the_guide_to_locating_points_runs(tmp_path, monkeypatch, capsys):
