@@ -114,9 +114,9 @@ def choose_lenses(
 def best_lens(
     corners: Array, points: Array, *, size: tuple[int, int], otherwise: LensModel
 ) -> LensChoice:
-    """Choose the lens model that fits and predicts views of a board best, for its coefficients.
+    """Choose the lens model of a camera by criterion and held-out views of a board.
 
-    It is the one called `otherwise` where the views are too few, or no model fits them.
+    The result is `otherwise` if the views are too few, or no model fits them.
     """
     usable = np.flatnonzero(determines_pose(points, seen_corners(corners)))
     if len(usable) > MOST_VIEWS:
@@ -159,7 +159,7 @@ def _choice(criterion: Mapping[LensModel, float], held_out: Mapping[LensModel, f
 def _criterion(model: LensModel, fit: LensFit, count: int) -> float:
     """Compute the Bayesian information criterion of a fit to `count` coordinates of corners.
 
-    But for what all models share: the noise, whose level is unknown, and the boards' poses.
+    Terms that all models have in common are left out: the noise level and the boards' poses.
     """
     mean_square = fit.sum_squares / count + LEAST_ERROR_PX**2
     return float(count * np.log(mean_square) + FREE_COEFFICIENTS[model] * np.log(count))

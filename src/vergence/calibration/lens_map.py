@@ -87,9 +87,9 @@ def _map(head: HeadCalibration, name: str, corners: Array, residuals: Array) -> 
 def pixel_covariance(head: HeadCalibration, name: str, pixels: Array) -> Array:
     """Return the covariance (N, 2, 2) [px^2] of where directions are projected, by the lens.
 
-    The directions are those of the named camera's pixels (N, 2). A turn of the camera that makes up
-    for an error of its lens is of no effect, and taken out: see `without_turn`. NaN where the lens
-    reaches no direction, or no covariance is stated.
+    The directions are those of the named camera's pixels (N, 2). A rotation of the camera that
+    compensates for an error of its lens is removed by `without_turn`. NaN if a pixel has no
+    direction, or the head states no covariance.
     """
     camera = head.camera(name).intrinsics
     total = np.full((len(pixels), 2, 2), np.nan)
@@ -112,11 +112,10 @@ def reference_pixels(camera: Camera) -> Array:
 
 
 def without_turn(camera: Camera, pixels: Array, errors: Array, at_reference: Array) -> Array:
-    """Return errors (N, 2, n) at pixels (N, 2) less those of the turn that explains them best.
+    """Remove from errors (N, 2, n) at pixels (N, 2) the camera rotation that explains them best.
 
-    Least squares over the errors (M, 2, n) at reference_pixels: where a direction is projected
-    depends on how lens and camera frame are divided, and another lens model divides them otherwise;
-    the mounting makes up for it.
+    The rotation is fitted to the errors (M, 2, n) at reference_pixels. The mounting compensates
+    for a rotation, so that it is no error of the lens.
     """
     with np.errstate(invalid="ignore"):
         by_turn, reference = (

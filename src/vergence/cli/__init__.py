@@ -79,7 +79,7 @@ def parsed(arguments: list[str]) -> Callable[[], Report]:
 
 
 def _one_sentence(parse: Callable[..., Any], *arguments: Any, prog: str, **options: Any) -> Any:
-    """Call a parser of tyro's; its message in a box becomes a VergenceError in one line."""
+    """Call one of tyro's parsers; turn its boxed message into a VergenceError of one line."""
     box = io.StringIO()
     try:
         with redirect_stderr(box):
@@ -87,7 +87,7 @@ def _one_sentence(parse: Callable[..., Any], *arguments: Any, prog: str, **optio
     except SystemExit as stop:
         if not stop.code:
             raise
-    # tyro's reason why a value is not parsed is in terms of Python; the option's help is clearer.
+    # tyro explains invalid values in terms of Python; the option's help is clearer.
     text = re.sub(r"(Error parsing \S+):.*?helptext:", r"\1; expected:", box.getvalue(), flags=re.S)
     text = re.split("Argument helptext|For full helptext", text)[0]
     lines = [line.strip("│| ") for line in text.splitlines()[1:]]

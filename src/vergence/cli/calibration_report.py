@@ -149,14 +149,14 @@ def _points(result: CalibrationResult) -> list[str]:
         ]
     parts: list[str] = [
         "Standard deviation of a point ahead that the main cameras locate, averaged over "
-        "directions of gaze up to 0.2 rad aside. The calibration adds the same error to every "
-        "reading at these angles; the noise of joints and pixels differs from reading to reading.",
+        "directions of gaze up to 0.2 rad from straight ahead. The error by the calibration is the "
+        "same in all measurements at the same readings; the noise of joints and pixels varies.",
         markdown_table("distance [m] | calibration [mm] | reading [mm]", rows),
     ]
     checked = result.accuracy.held_out
     if checked is not None and checked.jackknife_ratio is not None:
-        ratio = f"{checked.jackknife_ratio:.2f} times as much as stated"
-        parts.append(f"Calibrations from parts of the views differ {ratio}.")
+        ratio = f"{checked.jackknife_ratio:.2f} times the stated standard deviation"
+        parts.append(f"The scatter of calibrations from parts of the views is {ratio}.")
     return parts
 
 
@@ -170,9 +170,9 @@ def _lenses(result: CalibrationResult) -> list[str]:
     picture = [] if result.estimate is None else ["![lenses](lenses.png)"]
     return [
         "A lens model is selected by the Bayesian information criterion; a simpler model that "
-        "predicts held-out views as well is preferred. Models are not compared with the paper's "
-        "method, where a model was stated, or below ten views of the board. Errors are rms values "
-        "of one coordinate of a corner in held-out views.",
+        "predicts held-out views as well is preferred. Models are not compared if the paper's "
+        "method was used, a model was stated, or there are fewer than ten views. Errors are rms "
+        "values of one coordinate of a corner in held-out views.",
         markdown_table("camera | lens model | held out [px] | runner-up, held out [px]", rows),
         *picture,
     ]

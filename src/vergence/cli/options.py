@@ -21,7 +21,7 @@ Positional = tyro.conf.Positional
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
 Points = Annotated[tuple[tuple[float, float, float], ...], tyro.conf.UseAppendAction]
 Geometry = Literal["joints", "seen"]
-"""As in `self_calibration.calibrator`, whose import needs numpy."""
+"""As in `self_calibration.calibrator`; repeated here since importing that needs numpy."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class ExperimentOptions(TwinOptions):
     """Options that foveate, track and grasp have in common."""
 
     geometry: Geometry = "joints"
-    """Locate objects by the joint readings, or by these as corrected by what both eyes see."""
+    """Locate objects by the joint readings, or by readings corrected by vision (seen)."""
     out: Optional[Path] = None
     """Folder for the summary as JSON and a recording; left out: the summary is only printed."""
     json: Optional[Path] = None
@@ -70,10 +70,17 @@ def check_outputs(
 ) -> None:
     """Check that files and a folder of results can be written, without creating any.
 
-    `names` are the files that are written into the folder, `inputs` the files and folders of
-    datasets that the same command reads; None: not asked for. VergenceError if a path cannot be
-    written, two are the same, one is an input or the folder, the folder holds something else, or
-    the name of the figure, a picture, does not end in .png.
+    Args:
+        outputs: files to write; None: not requested.
+        figure: PNG file to write.
+        folder: folder of results.
+        names: files to write into the folder.
+        inputs: files and folders of datasets that the command reads.
+
+    Raises:
+        VergenceError: a path cannot be written, two paths are the same, one is an input or the
+            folder, the folder holds results of another command, or the figure's name does not end
+            in .png.
     """
     if figure is not None and figure.suffix.lower() != ".png":
         raise VergenceError(f"A figure is a PNG file, whose name ends in .png; found {figure}.")

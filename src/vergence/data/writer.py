@@ -1,4 +1,4 @@
-"""Write datasets, whole or not at all; docs/dataset.md describes the format."""
+"""Write complete datasets; docs/dataset.md describes the format."""
 
 from __future__ import annotations
 
@@ -58,9 +58,9 @@ def write_dataset(
 ) -> None:
     """Write a dataset into a temporary folder that is renamed when it is complete.
 
-    Images become grey PNG files, a third of the size of colour ones and all that detection uses.
-    They are encoded in threads while the next rows are made; an iterator may make rows one by one,
-    in order of time. `beside` writes other files into the temporary folder after the last row.
+    Images become grey PNG files: detection uses no colour, and they have a third of the size.
+    Threads encode them, so that an iterator of rows, in order of time, can go on. `beside` writes
+    other files into the temporary folder after the last row.
 
     Raises:
         VergenceError: the folder is not empty, or cannot be written; there are no rows; a row has
@@ -89,7 +89,7 @@ def _write_frames(folder: Path, description: Description, rows: Iterable[Dataset
         for number, row in enumerate(rows):
             _check_images(description, row.frame)
             written.append(_cells(description, row))
-            _check_rows(description, written, max(0, number - 1))  # so that a recording stops early
+            _check_rows(description, written, max(0, number - 1))  # stop at an invalid row
             images = {camera: f"images/{number:05d}_{camera}.png" for camera in row.frame.images}
             table.writerow(written[-1] | images)
             for camera, image in row.frame.images.items():
@@ -139,7 +139,7 @@ def _cells(description: Description, row: DatasetRow) -> _Cells:
         )
     angles = dict(zip(names, readings.tolist(), strict=True))
     for name, joint in description.sources.items():
-        if name in angles:  # else it shares the column of another
+        if name in angles:  # otherwise another joint has this column
             angle = joint.sign * angles[name]
             cells[joint.column] = float(np.degrees(angle)) if joint.unit == "deg" else angle
     if description.eye_motion == "poses":

@@ -1,4 +1,4 @@
-"""Located points with their derivatives by all that they depend on, and a calibration's share."""
+"""Derivatives of located points, and their covariance by the calibration."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def pair_parameters(head: HeadCalibration, cameras: tuple[str, str]) -> tuple[st
 
 @lru_cache(maxsize=64)
 def _of_pair(head: HeadCalibration, cameras: tuple[str, str]) -> tuple[np.ndarray, ...]:
-    """Find the parameters that either camera depends on, and the places of each one's."""
+    """Find the parameters of both cameras, and the indices of each camera's among them."""
     columns = [camera_columns(head, name) for name in cameras]
     both = np.unique(np.concatenate(columns))
     return both, *(np.searchsorted(both, own) for own in columns)
@@ -53,10 +53,9 @@ def _of_pair(head: HeadCalibration, cameras: tuple[str, str]) -> tuple[np.ndarra
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
-    """Located points, and how they change with all that they depend on.
+    """Located points, and their derivatives by pixels, readings and parameters.
 
-    To first order: of rays that pass each other far off, derivatives are those of rays that meet.
-    NaN: not located.
+    Derivatives are those of rays that meet, which holds to first order. NaN: not located.
     """
 
     points: Array
@@ -73,32 +72,34 @@ class Linearised:
 
 
 def by_head_parameters(located: Linearised, seen: Sightings) -> Array:
-    """Compute how points change (..., 3, P) with the P `pair_parameters`."""
+    """Compute the derivatives (..., 3, P) of points by the P `pair_parameters`."""
     both, *columns = _of_pair(seen.head, seen.cameras)
     total = batch_first(np.zeros((3, len(both), *located.status.shape)), 2)
     for k, parts in enumerate(located.pixels_by_head):
-        # The point makes up for what changes, so that its projection stays where it was seen.
+        # The point moves so that its projection stays at the detected pixel.
         by_pixels = located.by_pixels[..., 2 * k : 2 * k + 2]
         total[..., columns[k]] -= product(by_pixels, joined(*parts))
     return total
 
 
 def by_noise(located: Linearised, seen: Sightings) -> tuple[Array, Array]:
-    """Compute changes (..., 3, 4) and (..., 3, r) of points by one standard deviation of each."""
+    """Compute changes (..., 3, 4), (..., 3, r) of points by one std of each pixel and reading."""
     by_pixels = located.by_pixels * seen.pixel_std_px[..., None, :]
     return by_pixels, located.by_readings * seen.reading_std[..., None, :]
 
 
 def covariances_of(changes: Array) -> Array:
-    """Compute covariances (..., 3, 3) of changes (..., 3, K) by K independent deviations."""
+    """Compute covariances (..., 3, 3) of K independent errors with changes (..., 3, K)."""
     return product(changes, changes.swapaxes(-1, -2))
 
 
 @ignoring_invalid
 def linearised(seen: Sightings, *, parameters: bool = True) -> Linearised:
-    """Locate points with all their derivatives, for as many points as memory has room for.
+    """Locate points and compute their derivatives, all points at once.
 
-    `parameters`: whether derivatives by the head's are wanted too.
+    Args:
+        seen: pixels and readings of the points.
+        parameters: whether to compute the derivatives by the head's parameters too.
     """
     head = seen.head
     eyes = eye_motions(head, seen.joints, errors=parameters)
@@ -113,7 +114,7 @@ def linearised(seen: Sightings, *, parameters: bool = True) -> Linearised:
     by_readings, pixels_by_head = [], []
     for k, (eye, J) in enumerate(zip(eyes, views, strict=True)):
         by_moves = product(J.by_T_base_eye, eye.by_moves)
-        # The point makes up for what changes, so that its projection stays where it was seen.
+        # The point moves so that its projection stays at the detected pixel.
         moves = product(by_pixels[..., 2 * k : 2 * k + 2], by_moves[..., : len(eye.mixing)])
         by_readings.append(eye.by_readings(moves))
         if parameters:
@@ -127,10 +128,11 @@ def linearised(seen: Sightings, *, parameters: bool = True) -> Linearised:
 def _by_pixels(left: Array, right: Array, variances: Array) -> Array:
     """Compute the derivatives (..., 3, 4) of a located point by its pixels.
 
-    Three pixel coordinates determine a point: both of the left image, and in the right one that
-    along the epipolar line. The fourth is how far the rays miss each other, and the pixels share
-    this in proportion to their variances. By the implicit function theorem, of the point whose
-    projections are nearest to its pixels, whose derivatives by it are left and right (..., 2, 3).
+    Three pixel coordinates determine a point: both in the left image, and the one along the
+    epipolar line in the right image. The fourth, across that line, is the residual, which is
+    distributed over the pixels in proportion to their variances. The derivatives follow from the
+    implicit function theorem, with the derivatives left and right (..., 2, 3) of both projections
+    by the point.
     """
     a, b = left[..., 0, :], left[..., 1, :]
     ray = cross(a, b)
@@ -151,19 +153,19 @@ def _by_pixels(left: Array, right: Array, variances: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class PairCovariance:
-    """The part of a head's covariance on which the pixels of two cameras depend."""
+    """The covariance of the parameters on which the pixels of two cameras depend."""
 
     own: tuple[np.ndarray, np.ndarray]
-    """By camera, which p_l and p_r of its `camera_columns` have a stated covariance."""
+    """Indices of the p_l and p_r `camera_columns` of each camera that have a stated covariance."""
     by_left: Array
-    """(p_l + p_r, p_l) covariance of both cameras' with the left one's."""
+    """(p_l + p_r, p_l) covariance of both cameras' parameters with those of the left camera."""
     by_right: Array
-    """(p_r, p_r)."""
+    """(p_r, p_r) covariance of the right camera's parameters."""
 
 
 @lru_cache(maxsize=64)
 def pair_covariance(head: HeadCalibration, cameras: tuple[str, str]) -> PairCovariance | None:
-    """Select the covariance that the pixels of a pair depend on; None if none is stated."""
+    """Select the covariance of the parameters of a pair; None if the head states no covariance."""
     if not states_covariance(head):
         return None
     names, (_, left, right) = pair_parameters(head, cameras), _of_pair(head, cameras)
@@ -176,9 +178,9 @@ def pair_covariance(head: HeadCalibration, cameras: tuple[str, str]) -> PairCova
 
 
 def covariance_of_calibration(located: Linearised, known: PairCovariance) -> Array:
-    """Compute what a calibration adds to the covariances (..., 3, 3) of points.
+    """Compute the calibration's part of the covariances (..., 3, 3) of points.
 
-    By way of the covariance of the four pixel coordinates, which takes half the time.
+    It is propagated through the covariance of the four pixel coordinates, in half the time.
     """
     batch, n = located.status.shape, located.status.size
     left, right = (
@@ -215,7 +217,7 @@ def pair_factor(head: HeadCalibration, cameras: tuple[str, str]) -> Array:
 
 
 def covariance_factor(C: Array) -> Array:
-    """Compute F (n, n) with F F^T = C (n, n), whatever the units of the n numbers."""
+    """Compute F (n, n) with F F^T = C (n, n); rows are scaled first, so units may differ."""
     std = np.sqrt(np.diag(C))
     unit = np.where(std > 0, std, 1.0)
     values, vectors = np.linalg.eigh(C / unit / unit[:, None])
