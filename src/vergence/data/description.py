@@ -13,7 +13,7 @@ from pydantic import BeforeValidator, ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 from vergence.arrays import Vector3
-from vergence.geometry.board import Charuco, Chessboard
+from vergence.geometry.board import Board
 from vergence.geometry.camera import MAX_IMAGE_PX, Camera, check_image_size
 from vergence.geometry.head import MAX_CAMERAS, check_camera_name
 from vergence.geometry.joints import Joint
@@ -97,7 +97,7 @@ class Description:
     """Content of dataset.json: cameras, board and joints."""
 
     cameras: dict[str, DatasetCamera]
-    board: Annotated[Chessboard | Charuco, Field(discriminator="kind")]
+    board: Annotated[Board, Field(discriminator="kind")]
     joints: dict[str, DatasetJoint] = field(default_factory=dict)
     """Pan and tilt of each eye that has cameras, unless `kinematics` or poses are given; optionally
     the neck's."""

@@ -34,14 +34,14 @@ def import_head(
     """Read a head from another program's format.
 
     Args:
-        path: a file, or for ros a folder of them.
-        format_name: opencv holds a whole head; kalibr holds cameras and their poses relative to
-            each other, ros cameras alone.
-        template: a head that supplies what the file does not hold; needed for kalibr and ros.
+        path: a file, or for ros a folder of files.
+        format_name: opencv contains a whole head; kalibr contains cameras and their relative
+            poses, ros only cameras.
+        template: a head that supplies what the file does not contain; needed for kalibr and ros.
 
     Raises:
         VergenceError: the format is unknown, the file cannot be read, or a template is needed and
-            there is none.
+            missing.
     """
     _check_format(format_name, get_args(ImportFormat))
     path = Path(path)

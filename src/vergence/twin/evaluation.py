@@ -17,7 +17,7 @@ from scipy.stats import chi2
 from vergence.arrays import Array, Matrix, Transform
 from vergence.errors import VergenceError
 from vergence.files import read_json
-from vergence.geometry.board import Charuco, Chessboard
+from vergence.geometry.board import Board
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import EYES, Kinematics, Side, same_design
@@ -43,7 +43,7 @@ class Truth:
     """(N, r) true angles [rad] at the moment of each row's images, in the order of the readings."""
     T_lbase_target: dict[int, Transform]
     """True pose of the board, by the number of its placement."""
-    board: Chessboard | Charuco
+    board: Board
     """The board as printed; dataset.json may state wrong dimensions."""
     seed: int
     lens: str

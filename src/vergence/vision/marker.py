@@ -31,7 +31,7 @@ def marker_detector(dictionary: str, marker_id: int) -> Detector:
         marker_id: number of the marker in it.
 
     Raises:
-        VergenceError: there is no such dictionary, or no such marker in it.
+        VergenceError: the dictionary is unknown, or does not contain the marker.
     """
     family = marker_family(dictionary, marker_id)
     parameters = cv2.aruco.DetectorParameters()
