@@ -32,7 +32,6 @@ from vergence.geometry.parameters import is_gain, named_columns
 from vergence.geometry.projection import project_point
 from vergence.stereo.linearised import (
     by_head_parameters,
-    covariance_factor,
     linearised,
     pair_parameters,
 )
@@ -202,7 +201,10 @@ def _by_group(head: HeadCalibration, names: tuple[str, ...], by_head: Array) -> 
     found = {}
     for group in (*dict.fromkeys(groups), CALIBRATION):
         members = np.flatnonzero([group in (each, CALIBRATION) for each in groups])
-        factor = covariance_factor(C[np.ix_(members, members)])
+        own = C[np.ix_(members, members)]
+        std = np.sqrt(np.maximum(np.diag(own), 1e-300))  # the parameters have different units
+        values, vectors = np.linalg.eigh(own / std / std[:, None])
+        factor = std[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
         found[group] = factor.T @ by_head[:, rows[members]]
     return found
 

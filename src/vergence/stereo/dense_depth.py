@@ -1,9 +1,7 @@
-"""The depth of every pixel of a rectified pair, and how well it is known.
+"""Dense depth of a rectified pair by cv2.StereoSGBM (Hirschmueller 2008), with its deviation.
 
-The matcher is OpenCV's cv2.StereoSGBM: Hirschmueller, "Stereo processing by semiglobal matching and
-mutual information" (2008). The standard deviation has three parts: what texture leaves open, how
-much the depth of a slanted surface changes within a block, and what the calibration and the joint
-readings leave open.
+The standard deviation has three parts: texture, the slant of surfaces within a block, and the
+errors of calibration and joint readings.
 """
 
 from __future__ import annotations
@@ -39,14 +37,11 @@ LEAST_STD_PX = 0.15
 TEXTURED_PX = 0.4
 """Standard deviation by texture up to which a pixel counts as textured."""
 _SLOPE_PX = 9
-"""Side of the square that shows how slanted a surface is: about two blocks, since one has few
-disparities of its own."""
+"""Side of the square in which the slant of a surface is fitted: about two blocks."""
 _STEEPEST = 1.0
-"""Largest change of the disparity per pixel that is counted: beyond it, edges of nearer things are
-taken for surfaces."""
-_SMOOTH = 8, 32  # of the squared block: OpenCV's advice for P1 and P2
-_GRID_PX = 32  # the calibration's part changes slowly over the image
-_LARGEST_DISPARITY_SHARE = 0.5  # of the image's width
+"""Largest change of the disparity per pixel that is counted; steeper ones are edges."""
+_GRID_PX = 32
+"""Spacing of the pixels for which the calibration's part is computed, which changes slowly."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,16 +73,14 @@ def dense_depth(
     """Compute the depth of the pixels of a left image.
 
     Args:
-        pair: how to rectify the images; the accuracy of its head, where it has one, enters into
-            the std.
+        pair: how to rectify the images; the accuracy of its head enters into the std.
         left: (H, W, 3) RGB or (H, W) grey image of the pair's left camera, uint8.
         right: of its right one.
         nearest_m: least depth that is sought; None: NEAREST_M, or that of a disparity of half the
             width if this is more.
         reading_std: noise of the readings, as in `uncertainty.locate`.
-        located: a function that locates exact pixels, `left` and `right` (N, 2), such as
-            `locate_seen` of a seen geometry: it says how well the geometry is known, in place of
-            the head's accuracy and reading_std.
+        located: a function that locates exact pixels, `left` and `right` (N, 2), with the accuracy
+            of the geometry, in place of the head's and reading_std.
 
     Raises:
         VergenceError: the nearest depth is not positive, or its disparity exceeds the image; or an
@@ -95,7 +88,7 @@ def dense_depth(
     """
     width = pair.left.map_x.shape[1]
     scale = pair.matrix[0, 0] * pair.baseline_m
-    least_m = scale / (_LARGEST_DISPARITY_SHARE * width)
+    least_m = scale / (width / 2)
     if nearest_m is None:
         nearest_m = max(NEAREST_M, least_m)
     if not least_m <= nearest_m < np.inf:
@@ -113,7 +106,8 @@ def dense_depth(
     disparity = _match(*alike, scale / nearest_m)
     u, v = np.meshgrid(*map(np.arange, disparity.shape[::-1]))
     opposite = np.round(u - np.nan_to_num(disparity)).astype(int)
-    whole = [_whole(view.seen) for view in (pair.left, pair.right)]
+    block = np.ones((BLOCK_PX, BLOCK_PX), np.uint8)
+    whole = [cv2.erode(v.seen.astype(np.uint8), block) > 0 for v in (pair.left, pair.right)]
     disparity[~(whole[0] & (opposite >= 0) & whole[1][v, opposite])] = np.nan
     pixels = np.stack([u, v], axis=-1).astype(float)
     depth = rectified_points(pair, pixels, disparity)[..., 2]
@@ -145,8 +139,8 @@ def _match(left: np.ndarray, right: np.ndarray, largest_px: float) -> Array:
         minDisparity=0,
         numDisparities=span,
         blockSize=BLOCK_PX,
-        P1=_SMOOTH[0] * BLOCK_PX**2,
-        P2=_SMOOTH[1] * BLOCK_PX**2,
+        P1=8 * BLOCK_PX**2,  # OpenCV's advice
+        P2=32 * BLOCK_PX**2,
         disp12MaxDiff=1,
         uniquenessRatio=10,
         speckleWindowSize=100,
@@ -159,16 +153,10 @@ def _match(left: np.ndarray, right: np.ndarray, largest_px: float) -> Array:
     return np.where(found > 0, found, np.nan)
 
 
-def _whole(seen: np.ndarray) -> np.ndarray:
-    """Check (H, W) whether the whole block around a pixel is seen."""
-    return cv2.erode(seen.astype(np.uint8), np.ones((BLOCK_PX, BLOCK_PX), np.uint8)) > 0
-
-
 def _std_by_texture(grey: np.ndarray) -> Array:
     """Compute the standard deviation (H, W) [px] of a block's match: its Cramer-Rao bound.
 
-    With both images as noisy as each other the variance is 2 noise^2 / sum of dI/du^2; the
-    matcher's own error is added.
+    The variance is 2 noise^2 / sum of dI/du^2, and the matcher's own error is added.
     """
     slope = cv2.Scharr(grey, cv2.CV_32F, 1, 0) / 32
     energy = cv2.boxFilter(slope * slope, -1, (BLOCK_PX, BLOCK_PX), normalize=False)
@@ -178,9 +166,9 @@ def _std_by_texture(grey: np.ndarray) -> Array:
 def _std_by_slope(disparity: Array) -> Array:
     """Compute the standard deviation (H, W) [px] that the slant of a surface adds to a disparity.
 
-    A block is matched where it has texture, which may be half a block beside its middle. The
-    matcher flattens surfaces whose disparity changes by more than 0.12 px per pixel, so that their
-    slope is underestimated: in rendered rooms 58 to 81 % of their pixels lie within two deviations.
+    A block is matched where it has texture, up to half a block from its middle. The matcher
+    flattens surfaces whose disparity changes by more than 0.12 px per pixel: in rendered rooms 58
+    to 81 % of their pixels lie within two deviations.
     """
     width = disparity.shape[1]
     seen, u = np.isfinite(disparity).astype(float), np.arange(width) - width / 2

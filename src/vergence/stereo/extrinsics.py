@@ -44,15 +44,8 @@ def relative_camera_pose(
 ) -> Array:
     """Compute Eq. 11 (..., 4, 4) at joint readings (..., r) [rad], or eye poses (..., 2, 4, 4).
 
-    Args:
-        head: with a camera in each eye.
-        joints: in the order of head.kinematics.readings.
-        cameras: names of a camera of the left eye and one of the right; None: the main ones.
-
-    Raises:
-        VergenceError: the head has one eye only, has no such camera, left and right are exchanged,
-            or the joints are not as many as the head has, not in radians, or poses that are not
-            rigid.
+    `cameras` names one of the left eye and one of the right; None: the main ones. VergenceError if
+    the head has no such pair, or the joints are not those of the head, not in radians or not rigid.
     """
     joints = floats("joints", joints)
     left, right = np.moveaxis(camera_poses(head, joints, cameras=cameras), -3, 0)
@@ -65,7 +58,7 @@ def camera_poses(
 ) -> Array:
     """Compute T_lbase_cam (..., 2, 4, 4) of a camera of the left eye and one of the right.
 
-    Arguments and errors are those of `T_rcam_lcam`.
+    Arguments and errors are those of `relative_camera_pose`.
     """
     pair, eyes = stereo_cameras(head, cameras), eye_poses(head, joints)
     both = [

@@ -32,10 +32,6 @@ from vergence.geometry.se3 import cross
 from vergence.stereo.sightings import Sightings
 from vergence.stereo.triangulation import intersect_rays
 
-BLOCK = 1024
-"""Points whose derivatives by a calibration stay in the cache; chosen with
-benchmarks/located_points.py."""
-
 
 def pair_parameters(head: HeadCalibration, cameras: tuple[str, str]) -> tuple[str, ...]:
     """List the names of the P parameters that the points of a pair of cameras depend on."""
@@ -151,74 +147,35 @@ def _by_pixels(left: Array, right: Array, variances: Array) -> Array:
     return inverse - by_miss[..., :, None] * miss[..., None, :]
 
 
-@dataclass(frozen=True, eq=False)
-class PairCovariance:
-    """The covariance of the parameters on which the pixels of two cameras depend."""
-
-    own: tuple[np.ndarray, np.ndarray]
-    """Indices of the p_l and p_r `camera_columns` of each camera that have a stated covariance."""
-    by_left: Array
-    """(p_l + p_r, p_l) covariance of both cameras' parameters with those of the left camera."""
-    by_right: Array
-    """(p_r, p_r) covariance of the right camera's parameters."""
-
-
 @lru_cache(maxsize=64)
-def pair_covariance(head: HeadCalibration, cameras: tuple[str, str]) -> PairCovariance | None:
-    """Select the covariance of the parameters of a pair; None if the head states no covariance."""
+def pair_covariance(head: HeadCalibration, cameras: tuple[str, str]) -> tuple[Array, ...]:
+    """Select the stated covariance (P, P) of `pair_parameters`; empty if none is stated.
+
+    Then its blocks by the `camera_columns` of left and left, left and right, right and right.
+    """
     if not states_covariance(head):
-        return None
-    names, (_, left, right) = pair_parameters(head, cameras), _of_pair(head, cameras)
-    of_base = np.array([name.startswith("T_rbase_lbase.") for name in names])
-    stated = np.isin(np.arange(len(names)), stated_covariance(head, names)[0])
-    own = np.flatnonzero((stated & ~of_base)[left]), np.flatnonzero(stated[right])
-    _, C = stated_covariance(head, [names[k] for k in (*left[own[0]], *right[own[1]])])
-    n = len(own[0])
-    return PairCovariance(own, np.ascontiguousarray(C[:, :n]), np.ascontiguousarray(C[n:, n:]))
+        return ()
+    both, left, right = _of_pair(head, cameras)
+    stated, known = stated_covariance(head, pair_parameters(head, cameras))
+    C = np.zeros((len(both), len(both)))
+    C[np.ix_(stated, stated)] = known
+    return C, C[np.ix_(left, left)], C[np.ix_(left, right)], C[np.ix_(right, right)]
 
 
-def covariance_of_calibration(located: Linearised, known: PairCovariance) -> Array:
-    """Compute the calibration's part of the covariances (..., 3, 3) of points.
+def covariance_of_calibration(located: Linearised, known: tuple[Array, ...]) -> Array:
+    """Compute the part of a `pair_covariance` in the covariances (..., 3, 3) of points.
 
     It is propagated through the covariance of the four pixel coordinates, in half the time.
     """
-    batch, n = located.status.shape, located.status.size
-    left, right = (
-        [batch_last(part, 2).reshape(2, part.shape[-1], n) for part in parts]
-        for parts in located.pixels_by_head
-    )
-    own_left, own_right = known.own
-    split = len(own_left)
-    pixels = np.empty((4, 4, n))
-    for start in range(0, n, BLOCK):
-        block = np.s_[..., start : start + BLOCK]
-        one, other = (
-            np.concatenate([part[block] for part in parts], axis=1)[:, own]
-            for parts, own in ((left, own_left), (right, own_right))
-        )
-        into = pixels[block]
-        by_left, by_right = known.by_left @ one, known.by_right @ other
-        np.einsum("ipn,jpn->ijn", one, by_left[:, :split], out=into[:2, :2])
-        np.einsum("ipn,jpn->ijn", by_left[:, split:], other, out=into[:2, 2:])
-        np.einsum("ipn,jpn->ijn", other, by_right, out=into[2:, 2:])
-    pixels[2:, :2] = pixels[:2, 2:].swapaxes(0, 1)
-    whole = batch_first(pixels.reshape(4, 4, *batch), 2)
-    return product(product(located.by_pixels, whole), located.by_pixels.swapaxes(-1, -2))
+    _, by_left, across, by_right = known
+    left, right = (joined(*parts) for parts in located.pixels_by_head)
+    pixels = batch_first(np.empty((4, 4, *located.status.shape)), 2)
+    pixels[..., :2, :2] = _sandwiched(left, by_left, left)
+    pixels[..., :2, 2:] = _sandwiched(left, across, right)
+    pixels[..., 2:, :2] = pixels[..., :2, 2:].swapaxes(-1, -2)
+    pixels[..., 2:, 2:] = _sandwiched(right, by_right, right)
+    return _sandwiched(located.by_pixels, pixels, located.by_pixels)
 
 
-@lru_cache(maxsize=64)
-def pair_factor(head: HeadCalibration, cameras: tuple[str, str]) -> Array:
-    """Compute F (P, q) with F F^T the calibration's covariance of `pair_parameters`."""
-    names = pair_parameters(head, cameras)
-    stated, C = stated_covariance(head, names)
-    factor = np.zeros((len(names), len(stated)))
-    factor[stated] = covariance_factor(C)
-    return factor
-
-
-def covariance_factor(C: Array) -> Array:
-    """Compute F (n, n) with F F^T = C (n, n); rows are scaled first, so units may differ."""
-    std = np.sqrt(np.diag(C))
-    unit = np.where(std > 0, std, 1.0)
-    values, vectors = np.linalg.eigh(C / unit / unit[:, None])
-    return std[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+def _sandwiched(J: Array, C: Array, other: Array) -> Array:
+    return product(product(J, C), other.swapaxes(-1, -2))

@@ -1,8 +1,7 @@
-"""Rectified image pairs at any posture of the eyes, for stereo programs that know nothing of them.
+"""Rectified image pairs at any posture of the eyes, with any lens model.
 
-Two pinhole cameras share one orientation, with the x axis along the baseline, so that a point lies
-in the same row of both. Source: Fusiello, Trucco and Verri, "A compact algorithm for rectification
-of stereo pairs" (2000); the lens is undone by the map, so any lens model will do.
+Two pinhole cameras share one orientation, with the x axis along the baseline: Fusiello, Trucco and
+Verri, "A compact algorithm for rectification of stereo pairs" (2000).
 """
 
 from __future__ import annotations
@@ -133,7 +132,10 @@ def rectify(
     T_rcam_lcam = inverse(T_lbase_rcam) @ T_lbase_lcam
     R_lcam_rcam, baseline = T_rcam_lcam[:3, :3].T, inverse(T_rcam_lcam)[:3, 3]
     axes = np.array([[0, 0, 1], R_lcam_rcam[:, 2]])  # of both cameras, in the left one
-    R_rect_lcam = _orientation(baseline, axes.mean(axis=0))
+    x = baseline / np.linalg.norm(baseline)
+    y = np.cross(axes.mean(axis=0), x)
+    y /= max(float(np.linalg.norm(y)), 1e-12)
+    R_rect_lcam = np.stack([x, y, np.cross(x, y)])
     lenses = left.intrinsics, right.intrinsics
     own_px = FOCAL_SHARE * float(np.mean([lens.matrix[[0, 1], [0, 1]] for lens in lenses]))
     own_size = lenses[0].size
@@ -143,7 +145,10 @@ def rectify(
     looks = axes @ R_rect_lcam.T
     if (looks[:, 2] <= 0).any():
         raise _apart(cameras)
-    matrix = _matrix(looks, focal_px or own_px, size)
+    # Both views look into the middle of their images.
+    focal = focal_px or own_px
+    cx, cy = (np.array(size) - 1) / 2 - focal * (looks[:, :2] / looks[:, 2:]).mean(axis=0)
+    matrix = np.array([[focal, 0, cx], [0, focal, cy], [0, 0, 1]])
     views = [
         RectifiedView(lens, R, *_map(lens, R, matrix, size))
         for lens, R in zip(lenses, (R_rect_lcam, R_rect_lcam @ R_lcam_rcam), strict=True)
@@ -162,13 +167,6 @@ def rectify(
     )
 
 
-def _matrix(looks: Array, focal_px: float, size: tuple[int, int]) -> Array:
-    """Compute the matrix (3, 3) that puts both views, which look along (2, 3), in the middle."""
-    shift = focal_px * (looks[:, :2] / looks[:, 2:]).mean(axis=0)
-    cx, cy = (np.array(size) - 1) / 2 - shift
-    return np.array([[focal_px, 0, cx], [0, focal_px, cy], [0, 0, 1]])
-
-
 def _map(
     camera: Camera, R_rect_cam: Array, matrix: Array, size: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -183,14 +181,6 @@ def _map(
         pixels = np.where(good, project(camera, rays), _OUTSIDE)
         maps[:, rows] = batch_last(pixels.clip(_OUTSIDE, -_OUTSIDE))
     return maps[0], maps[1]
-
-
-def _orientation(baseline: Array, forward: Array) -> Array:
-    """Compute R_rect_lcam (3, 3), whose rows are the rectified axes: x along the baseline."""
-    x = baseline / np.linalg.norm(baseline)
-    y = np.cross(forward, x)
-    y /= max(float(np.linalg.norm(y)), 1e-12)
-    return np.stack([x, y, np.cross(x, y)])
 
 
 def _overlap(left: RectifiedView, right: RectifiedView) -> float:

@@ -23,7 +23,6 @@ from vergence.stereo.linearised import (
     covariances_of,
     linearised,
     pair_covariance,
-    pair_factor,
     pair_parameters,
 )
 from vergence.stereo.sightings import CHUNK, SightingArguments, Sightings, in_chunks, sightings
@@ -105,9 +104,9 @@ def locate(
             points, status = triangulated(seen)
             nothing = np.zeros((*status.shape, 3, 3))
             return points, nothing * np.nan, status, nothing
-        located = linearised(seen, parameters=known is not None)
+        located = linearised(seen, parameters=bool(known))
         covariance = covariances_of(joined(*by_noise(located, seen)))
-        if known is None:
+        if not known:
             return located.points, covariance, located.status, np.zeros_like(covariance)
         shared = covariance_of_calibration(located, known)
         return located.points, covariance + shared, located.status, shared
@@ -197,14 +196,14 @@ def combination(
             f"A combination of {counted(n, 'point')} has a finite weight for each, 0 for points "
             f"that do not count; found an array of shape {weights.shape}: {weights!r:.80}."
         )
-    factor = pair_factor(head, seen.cameras)
+    known = pair_covariance(head, seen.cameras)
     total, covariance = np.zeros(3), np.zeros((3, 3))
-    by_readings, by_head = np.zeros((3, seen.reading_std.shape[-1])), np.zeros((3, len(factor)))
+    by_readings, by_head = np.zeros((3, seen.reading_std.shape[-1])), 0.0
     counting = np.flatnonzero(weights)
     for start in range(0, len(counting), CHUNK):
         part = counting[start : start + CHUNK]
         some, own = seen.take(part), weights[part][:, None, None]
-        located = linearised(some, parameters=factor.size > 0)
+        located = linearised(some, parameters=bool(known))
         by_pixels, by_reading = (each * own for each in by_noise(located, some))
         total += weights[part] @ located.points
         covariance += covariances_of(by_pixels).sum(axis=0)
@@ -212,10 +211,11 @@ def combination(
             by_readings = by_readings + by_reading.sum(axis=0)
         else:
             covariance += covariances_of(by_reading).sum(axis=0)
-        by_head = by_head + (by_head_parameters(located, some) * own).sum(axis=0)
-    for shared in (by_readings, by_head @ factor):
-        covariance += shared @ shared.T
-    return total, covariance
+        if known:
+            by_head = by_head + (by_head_parameters(located, some) * own).sum(axis=0)
+    if known and len(counting):
+        covariance += _sandwich(by_head, known[0])
+    return total, covariance + by_readings @ by_readings.T
 
 
 def depth_error(
