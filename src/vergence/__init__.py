@@ -32,6 +32,7 @@ if TYPE_CHECKING:  # for type checkers; `_MODULES` is made of these imports
     from vergence.gaze.foveation import gaze_angles as gaze_angles
     from vergence.gaze.state import GazeSettings as GazeSettings
     from vergence.gaze.state import initial_gaze_state as initial_gaze_state
+    from vergence.gaze.state import look_at as look_at
     from vergence.geometry.board import Charuco as Charuco
     from vergence.geometry.board import Chessboard as Chessboard
     from vergence.geometry.camera import Camera as Camera
@@ -49,6 +50,7 @@ if TYPE_CHECKING:  # for type checkers; `_MODULES` is made of these imports
     from vergence.stereo.rectification import rectified_image as rectified_image
     from vergence.stereo.rectification import rectify as rectify
     from vergence.stereo.triangulation import Status as Status
+    from vergence.stereo.triangulation import in_body as in_body
     from vergence.stereo.triangulation import in_head as in_head
     from vergence.stereo.uncertainty import LocatedPoints as LocatedPoints
     from vergence.stereo.uncertainty import locate as locate
