@@ -191,21 +191,10 @@ def test_the_map_shows_the_imports_as_they_are():
     assert shown == make_map.drawing(), "run: python docs/make_map.py"
 
 
-def test_the_map_refuses_rooms_that_import_each_other():
-    with pytest.raises(ValueError, match="circle: a, b"):
-        make_map.levels({"a": {"b"}, "b": {"a"}, "c": {"a"}})
-
-
 def test_the_reference_lists_the_public_names():
     page = site_pages.reference_page("vergence")
     shown = re.findall(r"^\.\. auto\w+:: vergence\.(\w+)$", page, re.MULTILINE)
     assert sorted(shown) == sorted(vergence.__all__)
-
-
-@pytest.mark.parametrize("package", ["vergence.twin", "vergence.viewer"])
-def test_the_reference_has_a_page_for_twin_and_viewer(package: str):
-    page = site_pages.reference_page(package)
-    assert page.count(".. auto") > 3
 
 
 def test_the_site_contains_every_document():

@@ -18,13 +18,6 @@ def test_the_quick_tables_of_the_document_are_those_of_the_scenario():
     assert STUDY["absent"](tables, read(DOCUMENT)) == []
 
 
-def test_a_document_that_lacks_a_table_is_told_by_its_name():
-    tables = {"one": "| a | 2.00 |", "two": "| b | 2.39 of 3 |"}
-    assert STUDY["absent"](tables, "text\n| a | 2.00 |\n| b | 2.38 of 3 |") == []
-    assert STUDY["absent"](tables, "text\n| a | 2.00 |\n| b | 2.60 of 3 |") == ["two"]
-    assert STUDY["absent"](tables, "text\n| b | 2.39 of 3 |") == ["one"]
-
-
 def test_the_table_of_sensitivities_is_met_within_ten_percent():
     """Entries of 1 mm and more, under the conditions of the table."""
     for found, expected in zip(STUDY["sensitivities"]().values(), TABLE_MM.values(), strict=True):

@@ -103,20 +103,6 @@ def test_elimination_gives_the_solution_and_covariance_of_the_whole_system():
     np.testing.assert_allclose(np.linalg.inv(information), covariance, rtol=1e-8)
 
 
-def test_elements_without_shared_unknowns_are_fitted_one_by_one():
-    rng = np.random.default_rng(1)
-    residual = Numbers(values=rng.normal(size=(5, 1)) * [[1], [1e3], [1], [1], [1e6]])
-    start = Variables({}, Latent(np.zeros((5, 1)), 1))
-    found = least_squares([residual], start, levels={"numbers": 1.0})
-    np.testing.assert_allclose(found.x.latent.value, residual.values, atol=1e-4)
-
-
-def test_a_single_level_that_is_concentrated_out_is_the_root_mean_square_error():
-    residuals, start = simulated(np.random.default_rng(2))
-    found = least_squares(residuals[:1], start)
-    assert found.levels["sums"] == pytest.approx(np.sqrt(np.mean(found.errors[0] ** 2)))
-
-
 def test_outliers_do_little_to_a_robust_fit():
     residuals, start = simulated(np.random.default_rng(3))
     sums = residuals[0]

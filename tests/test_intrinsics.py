@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from vergence.calibration.intrinsics import (
-    FOLDS,
     calibrate_camera,
-    held_out_squares,
     jackknife_covariance,
 )
 from vergence.calibration.lens_choice import best_lens, choose_lenses
@@ -20,9 +18,7 @@ from vergence.geometry.camera import Camera, normalise, pinhole, pixel_grid, pro
 from vergence.geometry.parameters import lens_vector
 from vergence.geometry.se3 import pose, rotation, transform
 from vergence.vision.board_pose import (
-    determines_pose,
     refined_poses,
-    seen_corners,
     seen_from_the_other_side,
 )
 
@@ -218,22 +214,6 @@ def test_a_bent_board_makes_no_fisheye_of_a_lens_without_distortion():
         noisy = seen + rng.normal(0, 0.05, seen.shape)
         found.append(best_lens(noisy, POINTS, size=SIZE, otherwise="k1").model)
     assert set(found) <= {"none", "radial-tangential"}
-
-
-def test_the_held_out_error_is_that_of_fits_without_the_views():
-    rng = np.random.default_rng(7)
-    corners = scattered(LENSES["radial-tangential-k3"], 20, rng)
-    corners += rng.normal(0, 0.1, corners.shape)
-    corners = corners[determines_pose(POINTS, seen_corners(corners))]
-    fit = fit_model("radial-tangential-k3", None, corners, POINTS, SIZE)
-    free = free_intrinsics("radial-tangential-k3")
-    linear, refitted = held_out_squares(fit), np.empty(len(corners))
-    for k in range(FOLDS):
-        mine, T = np.arange(len(corners)) % FOLDS == k, fit.T_cam_target
-        lens = fit_lens(fit.camera, free, T[~mine], corners[~mine], POINTS, iterations=20).camera
-        refitted[mine] = refined_poses(lens, corners[mine], POINTS, T[mine])[1]
-    np.testing.assert_allclose(linear, refitted, rtol=0.05)
-    assert linear.sum() > fit.sum_squares
 
 
 def observed(corners: dict[str, np.ndarray]) -> Observations:

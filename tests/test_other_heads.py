@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import head_kinds
-from head_kinds import points, recording
+from head_kinds import recording
 from other_heads import KINDS, other_head
 from simulated_head import as_designed, random_head
 from simulated_recording import BOARD, POINTS, Noise, Recording, as_poses, facing, observe, record
@@ -166,21 +166,6 @@ def test_a_head_of_one_eye_is_calibrated():
     assert not any("T_rbase" in name for name in found.accuracy.parameters)
 
 
-def test_eyes_may_see_one_board_at_rest_one_after_the_other():
-    truth, seen = recorded(8)
-    seen.corners["left_wide"][::2] = np.nan
-    seen.corners["right_wide"][1::2] = np.nan
-    found = calibrate(seen, lens=LENS)
-    assert_within_stated(found, truth)
-    assert found.accuracy.void == ()
-    assert texts(found.findings)[-1].startswith(
-        "There is no held-out error of points: no view shows"
-    )
-    apart = 2 * seen.placement + np.arange(len(seen.placement)) % 2
-    with pytest.raises(VergenceError, match="no placement of the board is seen by both"):
-        calibrate(replace(seen, placement=apart), lens=LENS)
-
-
 # Other joints than pan and tilt of each eye
 
 
@@ -273,15 +258,6 @@ def test_a_joint_that_never_moved_is_not_called_wrong(kind: str, still: int):
     found = calibrate(seen, lens=LENS)
     said = " ".join(texts(found.findings))
     assert "not observable" in said
-
-
-@pytest.mark.usefixtures("no_held_out_error")
-def test_points_of_a_head_with_a_shared_tilt_are_located_within_their_regions():
-    rng = np.random.default_rng(4)
-    truth = without_offsets(other_head("shared tilt, pan", rng))
-    found = calibrate(recording(truth, rng), lens=LENS)
-    inside = list(points(found.head, truth, rng))
-    assert np.mean(inside) > 0.6
 
 
 def test_a_reading_before_a_gear_has_a_noise_of_its_own_in_few_views_too():

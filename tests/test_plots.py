@@ -1,7 +1,5 @@
 """figures.png and depth.png: the drawn lines hold the data, and the files are whole."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -9,7 +7,7 @@ from simulated_twin import observe_points
 from vergence.gaze.foveation import ideal_wide_pixel
 from vergence.paper import plots
 from vergence.paper.figures import FIGURES, default_duration_s
-from vergence.paper.plots import draw_figures, save_figures
+from vergence.paper.plots import draw_figures
 from vergence.paper.replay import Replay, estimate
 from vergence.twin.model import nominal_head
 from vergence.twin.profile import ErrorProfile, Joints
@@ -49,18 +47,6 @@ def test_each_figure_has_a_panel_with_its_estimates(numbers: tuple[int, ...]):
         assert means == list(figure.mean_m)
 
 
-@pytest.mark.slow
-def test_parallel_motion_is_left_of_divergent_motion_and_rows_share_their_scale():
-    canvas = draw_figures([result(number) for number in FIGURES])
-    canvas.draw_without_rendering()  # places the panels
-    places = {axes.get_title(loc="left"): axes for axes in canvas.axes}
-    for parallel in (6, 8, 10):
-        left, right = (places[FIGURES[n].title] for n in (parallel, parallel + 1))
-        assert left.get_position().x1 < right.get_position().x0
-        assert left.get_position().y0 == pytest.approx(right.get_position().y0)
-        assert left.get_ylim() == right.get_ylim()
-
-
 def test_the_table_states_the_papers_numbers_and_ours():
     result_ = result(9)
     columns = plots.table_cells(result_.figure, result_.statistics)
@@ -68,13 +54,6 @@ def test_the_table_states_the_papers_numbers_and_ours():
     mean_mm, std_mm = 1e3 * result_.statistics.mean_m[0], 1e3 * result_.statistics.std_m[0]
     assert columns[2][1] == f"{mean_mm:.1f} ± {std_mm:.1f}"
     assert columns[3][1] == f"{std_mm / 102:.2f}"
-
-
-def test_a_figure_that_located_nothing_says_so(tmp_path: Path):
-    nothing = result(6, dropped=SAMPLES)
-    save_figures(tmp_path / "figures.png", [nothing])
-    assert (tmp_path / "figures.png").exists()
-    assert plots.table_cells(nothing.figure, nothing.statistics)[2][1:] == ["not located"] * 3
 
 
 def test_an_error_of_depth_costs_in_proportion_and_less_far_away():

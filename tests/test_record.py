@@ -9,13 +9,11 @@ import pytest
 
 from vergence.calibration.detection import detect_target
 from vergence.calibration.observations import Observations
-from vergence.cli import depth
 from vergence.data.dataset import Dataset
 from vergence.data.reader import load_dataset
 from vergence.data.timing import moved_readings
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
-from vergence.geometry.head import save_head
 from vergence.geometry.kinematics import EYES, Kinematics, eye_pose
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import transform
@@ -104,18 +102,6 @@ def test_joints_that_the_twin_cannot_have_are_refused(tmp_path, joints, missing,
     with pytest.raises(VergenceError, match=said):
         record(tmp_path / "no", profile=PROFILE, kinematics=tmp_path / "joints.json")
     assert not (tmp_path / "no").exists()
-
-
-@once
-def test_a_recorded_dataset_has_dense_depth_and_no_stated_error(recorded, tmp_path):
-    dataset, _, truth = recorded
-    save_head(truth.head, tmp_path / "head.json")
-    head, out = tmp_path / "head.json", tmp_path / "depth"
-    done = depth(dataset.folder, out=out, calibration=head, pairs=2).data
-    assert done["pairs"] == 2
-    assert done["joints"] is None
-    assert 0.05 < done["textured"] < done["matched"] < 1
-    assert (tmp_path / "depth" / "depth.rrd").stat().st_size > 100_000
 
 
 def test_corners_lie_where_the_truth_says(recorded):

@@ -139,16 +139,6 @@ def test_the_spread_and_the_papers_span_the_whole_time(recorded: Path):
         np.testing.assert_array_equal(levels, np.tile([mean, mean + std, mean - std], (2, 1)))
 
 
-def test_images_are_small_and_still_the_images(recorded: Path, head: HeadCalibration):
-    rows = components(recorded, "/world/left_eye/left_wide/image", "EncodedImage:blob")
-    assert len(rows) == SAMPLES // EVERY
-    blob = np.array(rows[1][0], np.uint8)
-    assert len(blob) < 26_000
-    decoded = np.array(cv2.imdecode(blob, cv2.IMREAD_COLOR_RGB), float)
-    error = decoded - frame(head, EVERY).images["left_wide"]
-    assert np.sqrt((error**2).mean()) < 4.5  # little more than the noise
-
-
 def test_marks_lie_half_a_pixel_on_and_only_within_the_image(recorded: Path):
     def rings(camera: str) -> list:
         return components(recorded, f"/world/left_eye/{camera}/truth", "Ellipses2D:centers")

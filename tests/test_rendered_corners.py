@@ -8,7 +8,7 @@ import pytest
 from simulated_twin import simulate_views
 from vergence.calibration.observations import Observations
 from vergence.geometry.head import HeadCalibration
-from vergence.twin.calibration_sequence import BOARD, Shot, capture_views, plan
+from vergence.twin.calibration_sequence import Shot, capture_views, plan
 from vergence.twin.head import Twin
 from vergence.twin.model import nominal_head
 from vergence.twin.profile import ErrorProfile, Mounting, Optics
@@ -73,24 +73,6 @@ def test_corners_of_recorded_pictures_err_by_hundredths_of_a_pixel_no_more(
     coarse, fine = rms(rendered), rms(renders(at_rest, FINE))
     assert fine < 0.008
     assert fine < coarse / 2
-
-
-def test_errors_of_neighbouring_corners_are_independent(rendered: Rendered):
-    """A calibration takes them for it; corners whose pixels overlap have a correlation of 0.35."""
-    _, found, true = rendered
-    products, squares = [], []
-    for name in ("left_wide", "right_wide"):
-        errors = (found.corners[name] - true.corners[name])[true.placement == true.placement.max()]
-        grid = errors.reshape(-1, BOARD.rows, BOARD.columns, 2)
-        grid = grid - np.nanmean(grid, axis=(1, 2), keepdims=True)
-        # Across the line that leads from one to the other, whose edge both may share.
-        products += [grid[:, :, 1:, 1] * grid[:, :, :-1, 1], grid[:, 1:, :, 0] * grid[:, :-1, :, 0]]
-        squares.append(grid**2)
-    mean_product, mean_square = (
-        np.nanmean(np.concatenate([each.ravel() for each in those]))
-        for those in (products, squares)
-    )
-    assert abs(mean_product / mean_square) < 0.15
 
 
 def test_focal_length_and_principal_point_of_clean_renders_are_mujocos(rendered: Rendered):

@@ -1,6 +1,5 @@
 """Every scenario runs, shortened, from an empty folder."""
 
-import ast
 import re
 import runpy
 import sys
@@ -70,15 +69,3 @@ def test_the_benchmark_prints_its_ratio(monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["replay.py", "--samples", "2", "--rounds", "1"])
     runpy.run_path(str(ROOT / "benchmarks" / "replay.py"), run_name="__main__")
     assert re.search(r"same frames: \d+\.\d\d", capsys.readouterr().out)
-
-
-@pytest.mark.parametrize(
-    "path", sorted((ROOT / "scenarios").glob("*.py")), ids=lambda path: path.stem
-)
-def test_every_option_of_a_scenario_says_what_it_does(path: Path):
-    commands = ("main", "foveate", "track", "grasp")
-    for node in ast.parse(path.read_text("utf-8")).body:
-        if isinstance(node, ast.FunctionDef) and node.name in commands:
-            options = {each.arg for each in (*node.args.posonlyargs, *node.args.args)}
-            said = re.findall(r"^ +(\w+): \S", ast.get_docstring(node) or "", re.MULTILINE)
-            assert options <= set(said)
