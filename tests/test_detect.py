@@ -55,7 +55,7 @@ def test_corners_of_every_image_stand_at_its_row_and_camera(tmp_path, board):
 
 
 @pytest.mark.parametrize("upside_down", [False, True])
-@pytest.mark.parametrize("seen", [np.s_[:, 130:], np.s_[:, :130], np.s_[78:], np.s_[:110]])
+@pytest.mark.parametrize("seen", [np.s_[:, 130:], np.s_[:110]])
 def test_part_of_a_charuco_board_gives_the_right_corners(seen, upside_down):
     image, truth = picture(CHARUCO, held(0, shift=20), (280, 240))
     part = np.full_like(image, 120)
@@ -151,24 +151,6 @@ def test_one_picture_from_two_cameras_is_refused(folder):
         detect_target(load_dataset(folder))
 
 
-def test_blank_pictures_of_two_cameras_are_no_repetition(folder):
-    blank = np.zeros((240, 280), np.uint8)
-    for name in ("left_1", "right_2"):
-        cv2.imwrite(str(folder / "images" / f"{name}.png"), blank)
-    found = detect_target(load_dataset(folder))
-    assert len(found.findings) == 2
-    assert all(str(each).endswith(": the image is too dark.") for each in found.findings)
-
-
-def test_motions_of_too_few_rows_are_refused_before_images_are_searched(folder):
-    dataset = load_dataset(folder)
-    moving = replace(dataset, moving=np.arange(len(dataset)) == 1)
-    calls = []
-    with pytest.raises(VergenceError, match="moving rows come at least 3 in sequence"):
-        detect_target(moving, progress=lambda *call: calls.append(call))
-    assert calls == []
-
-
 def test_images_in_which_opencv_cannot_look_for_another_board_are_no_failure(tmp_path, monkeypatch):
     def refuse(image: np.ndarray, board: object) -> None:
         if board != CHESSBOARD:
@@ -190,11 +172,6 @@ def test_a_dataset_that_shows_nothing_is_refused(tmp_path):
     small_dataset(tmp_path / "set")
     with pytest.raises(VergenceError, match=r"No image of .* shows a chessboard of 6 x 5 inner"):
         detect_target(load_dataset(tmp_path / "set"))
-
-
-def test_a_folder_is_no_dataset_yet():
-    with pytest.raises(VergenceError, match=r"detect_target takes a dataset.*; found 'folder'"):
-        detect_target("folder")  # pyright: ignore[reportArgumentType]
 
 
 FIVE = Charuco(5, 7, 0.03, 0.022, "DICT_5X5_50")
@@ -292,14 +269,6 @@ def test_a_chessboard_that_the_image_cuts_off_is_called_that_and_not_a_smaller_o
     )
     with pytest.raises(VergenceError, match=said):
         detect_target(load_dataset(tmp_path / "set"))
-
-
-def test_a_sharp_image_of_little_contrast_on_most_of_it_is_not_called_blurred():
-    image = np.full((240, 280), 200, np.uint8)
-    image[100:140, 130:134] = 20  # a board from its edge
-    assert detect_or_explain(image, CHESSBOARD)[1] == "the board was not found"
-    moved = cv2.blur(board_image(), (36, 1))
-    assert "blurred" in detect_or_explain(moved, CHESSBOARD)[1]
 
 
 def test_detection_does_not_depend_on_the_number_of_threads(folder, monkeypatch):

@@ -1,12 +1,10 @@
 """What is known of a lens in each part of the image, and whole calibrations with every lens."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 import head_kinds
-from head_kinds import GRID, lens_head, recording, tried
+from head_kinds import lens_head, recording, tried
 from simulated_recording import EXACT
 from texts import texts
 from vergence.calibration import cross_validation
@@ -16,7 +14,6 @@ from vergence.calibration.lens_map import (
     COLUMNS,
     ROWS,
     lens_maps,
-    pixel_covariance,
 )
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, parameter_names
@@ -53,12 +50,6 @@ def test_the_map_shows_what_was_covered_and_how_well_it_is_known(fisheye):
         assert 0.5 < own.covered <= 1
         well = own.corners > 50
         assert np.abs(own.residual_px[well]).max() < 0.1
-
-
-def test_no_covariance_is_stated_without_an_accuracy(fisheye):
-    _, result = fisheye
-    head = replace(result.head, accuracy=None)
-    assert np.isnan(pixel_covariance(head, "left_wide", GRID)).all()
 
 
 @pytest.mark.usefixtures("two_folds")  # a lens that does not fit converges slowly
