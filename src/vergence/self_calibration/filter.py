@@ -1,8 +1,8 @@
 """Self-calibration filter: update with one frame after another, and detect a changed head.
 
-The initial frames are kept and relinearised when more is known. Each update tests hypotheses about
-the last frames: a turned camera, or a head outside the covariance of its calibration, makes them
-far likelier if the head may have changed before them. Some updates also test the sum of all.
+The initial frames are kept and relinearised when more is known. Each update tests whether the last
+frames are far likelier if a camera was turned, or the head is outside the covariance of its
+calibration. Some updates also test the sum of all.
 """
 
 from __future__ import annotations
@@ -44,18 +44,8 @@ _CHANGES: dict[HeadChange, Tolerance] = {"camera turned": BUMP, "head uncalibrat
 """Hypotheses, each with the tolerance by which the head may have changed."""
 _WINDOW = 3
 """Frames that are examined together; a change is detected from at least two."""
-_EXAMINED = -6.0
-"""Log likelihood ratio of one frame from which the window is examined: a bump costs about 12, and
-where each of three frames gains half of that, they show it together."""
-_DETECTED = np.log(1e5)
-"""Log likelihood ratio of the window from which a change is detected; the prior odds are low."""
-_LEAST_FILLED = 0.25
-"""Share of the image that matches fill where they support a change: a board alone fills a fifth,
-and errors that its corners share look like a change."""
 _RELINEARISED = (4, 8, 16, 32, 64)
 """Numbers of initial frames after which all of them are relinearised; the last takes 0.6 s."""
-_TESTED = 8
-"""Updates between tests of their sum, which takes 0.9 ms and shows a change in many frames."""
 
 
 def update(
@@ -79,7 +69,7 @@ def update(
         return replace(state, records=records, keyframe=None)
     updated = replace(kalman_update(state, estimate, tracked), records=records)
     if state.settled:
-        tested = updated.frames % _TESTED == 0
+        tested = updated.frames % 8 == 0  # a test takes 0.9 ms
     else:
         consistent = tuple(r for r in records if r.estimate.status != "contradiction")
         tested = len(consistent) in _RELINEARISED
@@ -122,10 +112,10 @@ def _record(
 
 def _detect_change(records: tuple[FrameRecord, ...]) -> FilterState | None:
     """Find the state after the likeliest change before one of the frames; None: no change."""
-    best, found = _DETECTED, None
+    best, found = np.log(1e5), None  # the odds of a change are low
     for k, (change, tolerance) in enumerate(_CHANGES.items(), start=1):
         ratios = [each.log_likelihoods[k] - each.log_likelihoods[0] for each in records]
-        if max(ratios) <= _EXAMINED:
+        if max(ratios) <= -6:  # a bump costs about 12, which three frames regain together
             continue
         for first, record in enumerate(records):
             changed = replace(record, state=_release(record.state, tolerance))
@@ -158,8 +148,9 @@ def _filter_again(
         evidence = estimate.evidence
         if evidence is None or estimate.status == "contradiction":
             return state, -np.inf
-        agree = 2 * evidence.inliers >= len(estimate.weights)
-        if at is None and not (agree and evidence.filled >= _LEAST_FILLED):
+        # A board alone fills a fifth of the image, and errors of its corners look like a change.
+        supports = 2 * evidence.inliers >= len(estimate.weights) and evidence.filled >= 0.25
+        if at is None and not supports:
             return state, -np.inf
         estimate = replace(estimate, evidence=evidence_about(state, evidence, about.head))
         again.append(_record(state, estimate, record.tracked))

@@ -33,29 +33,15 @@ from vergence.stereo.uncertainty import LocatedPoints, locate_jointly
 from vergence.vision.exposure import checked_image, grey_levels
 from vergence.vision.matching.scene_features import Matches, match_scene
 
-_LEAST_SHARE = 0.1
-"""Least share of inliers; wrong matches that agree by chance are fewer."""
-_LEAST_NORMAL = 0.01
-"""Least part of a residual's unit normal in the right image, usually 0.7: where the rays of a wrong
-match are nearest in the plane of a camera, residual and noise vanish together."""
-_LEAST_DEGREES = 1.5
-"""Observed degrees of freedom of the pair, of five, from which a frame is `seen`."""
-
 
 def estimate_frame(
     state: FilterState, left: np.ndarray, right: np.ndarray, joints: ArrayLike
 ) -> FrameEstimate:
-    """Estimate head and joint angles from a pair of images.
+    """Estimate head and joint angles from a pair of images, (H, W, 3) RGB or (H, W) grey, uint8.
 
-    Args:
-        state: predicted for the frame; see `kalman.predict`.
-        left: (H, W, 3) RGB or (H, W) grey image of the left camera, uint8.
-        right: image of the right camera at the same moment.
-        joints: (r,) readings [rad].
-
-    Raises:
-        VergenceError: an image is missing, not uint8 or not of the calibration's size, or the
-            readings are not those of the head, not finite or not in radians.
+    The state is predicted for the frame; see `kalman.predict`. VergenceError if an image is
+    missing, not uint8 or not of the calibration's size, or the readings (r,) [rad] are not those of
+    the head, not finite or not in radians.
     """
     lenses = [state.head.camera(name).intrinsics for name in state.cameras]
     images = [checked_image(image, "Self-calibration") for image in (left, right)]
@@ -118,7 +104,7 @@ def estimate_from_matches(
             return replace(
                 prior, status="contradiction", weights=wide_weights, evidence=wide_evidence
             )
-    if evidence.inliers < max(FEWEST, _LEAST_SHARE * N):
+    if evidence.inliers < max(FEWEST, N / 10):  # wrong matches agree by chance
         return replace(prior, weights=weights)
     posture = state.head.kinematics.gear_ratios * prior.joints
     prior = replace(
@@ -136,7 +122,7 @@ def estimate_from_matches(
         head=head,
         joints=joints,
         covariance=posterior_C,
-        status="seen" if evidence.degrees > _LEAST_DEGREES else "little seen",
+        status="seen" if evidence.degrees > 1.5 else "little seen",  # of the five of a pair
     )
 
 
@@ -198,7 +184,9 @@ def _whiten(
     systematic = found.normals**2 @ np.repeat(np.square(state.systematic_px), 2)
     std = np.sqrt(random + systematic)
     good = np.isfinite(found.residuals) & np.isfinite(A).all(axis=1)
-    good &= (std > 0) & (np.linalg.norm(n, axis=1) > _LEAST_NORMAL)
+    # Where the rays of a wrong match meet in the plane of a camera, noise and residual vanish; the
+    # part of the unit normal in the right image is 0.7 elsewhere.
+    good &= (std > 0) & (np.linalg.norm(n, axis=1) > 0.01)
     share = float(np.median(systematic[good] / std[good] ** 2)) if good.any() else 0.0
     return LinearisedResiduals(
         residuals=np.where(good, found.residuals / std, 1e3),

@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import chdtri
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
@@ -21,6 +20,7 @@ from vergence.self_calibration.match_noise import (
     PACE,
 )
 from vergence.self_calibration.prior import DRIFT, tolerance_covariance
+from vergence.self_calibration.robust_fit import gate
 from vergence.self_calibration.state import (
     Evidence,
     FilterState,
@@ -28,17 +28,9 @@ from vergence.self_calibration.state import (
     TrackedFeatures,
 )
 
-_CONTRADICTED = 1e-7
-"""Tail probability from which the sum of all updates contradicts the prior."""
-_LEAST_LEARNED = 0.02
-"""Least relative decrease of a variance that counts as learned; less is about the process noise."""
-
 
 def predict(state: FilterState, elapsed_s: float) -> FilterState:
-    """Add process noise: the drift of the head over a time.
-
-    VergenceError if the time is not finite, or negative.
-    """
+    """Add process noise, the drift of the head over a time; VergenceError if it is negative."""
     if not 0 <= elapsed_s < np.inf:
         raise VergenceError(
             f"Frames follow each other after 0 s or more; found {elapsed_s:g} s between two."
@@ -136,10 +128,10 @@ def contradicts_prior(state: FilterState) -> bool:
     whiten = axes.T / std / np.sqrt(np.maximum(size, 1e-12))[:, None]
     after = whiten @ state.covariance @ whiten.T
     values, directions = np.linalg.eigh((after + after.T) / 2)
-    learned = values < 1 - _LEAST_LEARNED
+    learned = values < 0.98  # a smaller decrease is about the process noise
     moved = directions[:, learned].T @ (whiten @ change)
     distance = float((moved**2 / (1 - values[learned])).sum())
-    return distance > chdtri(max(float(learned.sum()), 1.0), _CONTRADICTED)
+    return distance > gate(float(learned.sum()))
 
 
 def log_likelihood(state: FilterState, evidence: Evidence) -> float:

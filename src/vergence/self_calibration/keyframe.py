@@ -1,10 +1,8 @@
 """Features of a keyframe, tracked in each eye over time.
 
-Between the eyes, matches determine the relative pose; over time, the rotation of each eye also
-determines focal lengths, gains and mountings, in any motion. One keyframe stays in the state with
-its joint angles. When an eye has turned far enough, the keyframe's features are tracked into the
-present images, and the present frame becomes the keyframe. Features that moved by themselves fail
-the innovation gate.
+The rotation of each eye determines focal lengths, gains and mountings. One keyframe stays in the
+state with its joint angles. When an eye has turned far enough, its features are tracked into the
+present images, and the present frame becomes the keyframe.
 """
 
 from __future__ import annotations
@@ -44,13 +42,6 @@ from vergence.vision.matching.scene_features import track_features
 TURNED_RAD = float(np.radians(8.0))
 """Change of a joint angle from which features are tracked; with 4 or 12 degrees learned depth is
 about as steady."""
-_LARGEST_INFLATION = 10.0
-"""Inflation of a revisited posture from which features are not tracked, which takes longer than the
-estimate; learned depth of rendered figures spreads by at most 4 % more."""
-_FEATURES = 150
-"""Features of a keyframe; with twice as many learned depth is no steadier."""
-_DEPTH_STD = 0.05
-"""Relative error of each depth; an assumption, since a camera moves by millimetres only."""
 _MOTION_INFLATION = 2.5
 """Covariance inflation of tracked features for errors that all motions share, such as those of the
 lens model; with it they leave the squared Mahalanobis distance of rendered figures unchanged."""
@@ -61,7 +52,7 @@ def worth_tracking(state: FilterState, estimate: FrameEstimate) -> bool:
     key = state.keyframe
     if key is None or state.largest_turn_rad(estimate.readings, key.readings) < TURNED_RAD:
         return False
-    return state.revisits.inflation(estimate.novelty) < _LARGEST_INFLATION
+    return state.revisits.inflation(estimate.novelty) < 10  # tracking takes longer than estimating
 
 
 def track_keyframe(state: FilterState, estimate: FrameEstimate) -> TrackedFeatures | None:
@@ -106,7 +97,8 @@ def next_keyframe(
         )
     joints = estimate.readings + change[now]
     fits = np.flatnonzero(estimate.weights > INLIER)  # in rows of the image: from all of its parts
-    fits = fits[np.linspace(0, len(fits), min(len(fits), _FEATURES), endpoint=False, dtype=int)]
+    count = min(len(fits), 150)  # with twice as many learned depth is no steadier
+    fits = fits[np.linspace(0, len(fits), count, endpoint=False, dtype=int)]
     left, right = estimate.matches.left[fits], estimate.matches.right[fits]
     lenses = [head.camera(name).intrinsics for name in state.cameras]
     T = relative_camera_pose(head, joints, cameras=state.cameras)
@@ -232,7 +224,7 @@ def _whiten(
     A = np.concatenate([found.by_coordinates, found.by_depth[..., None]], axis=2)
     every = np.concatenate([A, found.residuals[..., None]], axis=2)
     good = np.asarray(np.isfinite(every).all(axis=(1, 2)))
-    by_depth = _DEPTH_STD * found.by_depth
+    by_depth = 0.05 * found.by_depth  # by the relative error of each depth, an assumption
     C = state.match_scale**2 * matches.covariance + np.einsum("ni,nj->nij", by_depth, by_depth)
     C[~good] = np.eye(2)
     systematic = 2 * state.systematic_px[k] ** 2  # then and now, in two places of the image

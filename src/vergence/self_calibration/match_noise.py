@@ -21,8 +21,6 @@ _SCALE_MATCHES = 30.0
 """Weight of the prior scale, as a number of matches; an assumption."""
 _DESIGN_BLOCKS = 10.0
 """Weight of the prior design effect, as a number of blocks: a third of those that a pair fills."""
-_BLOCK_PX = 64
-"""Distance from which errors are independent; rendered correlations are below 0.03 there."""
 _BLOCKS = 16
 """Most blocks along each axis; blocks are larger in images of more than 1024 px."""
 _UNKNOWNS = 5
@@ -30,13 +28,9 @@ _UNKNOWNS = 5
 _WINDOWS_RAD, _SURFACES_RAD = np.radians([1.2, 13.0])
 """Scales of the correlation over the distance of postures, half exp(-x) and half exp(-x^2); fitted
 to 800 rendered pairs with correlations of 0.36 within 1 degree, 0.14 at 5, 0.07 at 13."""
-_SAME_CORRELATION = 0.25
-"""Correlation at the same posture; 0.1 to 0.33 in rendered figures."""
 _FADING_S = 600.0
 """Decay time of the correlation, so that a drifted head is learned again; with 120 s the squared
 Mahalanobis distances of nine rendered minutes are 1.2 to 1.4 times as large."""
-_FIELD_PARTS = 15.0
-"""Independent parts of a lens's systematic error field: polynomials up to the fourth degree."""
 _FAR_CORRELATION = 0.005
 """Correlation at distant postures; measured between 20 and 60 degrees, to a factor of two."""
 PACE = 0.1
@@ -131,7 +125,7 @@ def design_effect(
     variance, for residuals y (N,) [standard deviations] at pixels (N, 2) of an image. Returns also
     the share of the image's blocks with inliers.
     """
-    block_px = max(_BLOCK_PX, max(size) / _BLOCKS)
+    block_px = max(64, max(size) / _BLOCKS)  # rendered correlations are below 0.03 at 64 px
     column, row = np.clip(pixels // block_px, 0, _BLOCKS - 1).astype(int).T
     block = row * _BLOCKS + column
     u2 = np.minimum((y / CUT) ** 2, 1.0)
@@ -149,11 +143,12 @@ def design_effect(
 
 def systematic_inflation(weights: Array, share: float) -> float:
     """Compute the inflation by systematic lens errors, a share of residuals with weights (N,)."""
-    return share * float(weights.sum()) / _FIELD_PARTS
+    return share * float(weights.sum()) / 15  # independent polynomials up to the fourth degree
 
 
 def _correlation(between_postures: Array, elapsed_s: Array) -> Array:
     """Compute the correlation of match errors from differences of postures (..., r) [rad]."""
     distance = np.linalg.norm(between_postures, axis=-1)  # Euclidean: K is positive definite
     shape = np.exp(-distance / _WINDOWS_RAD) + np.exp(-((distance / _SURFACES_RAD) ** 2))
-    return _SAME_CORRELATION * shape / 2 * np.exp(-elapsed_s / _FADING_S)
+    # 0.25 at the same posture: 0.1 to 0.33 in rendered figures
+    return 0.25 * shape / 2 * np.exp(-elapsed_s / _FADING_S)

@@ -1,9 +1,8 @@
 """Prior of self-calibration: the parameters to estimate, and their covariance.
 
-A calibration brings its covariance along. One without a covariance, such as that of the paper's
-method, gets usual tolerances, conditioned on what its procedure measured well: the relative pose of
-the cameras at straight gaze, the epipolar lines there, and the ratio of the focal lengths. What may
-have moved since the calibration is added to either.
+It is the calibration's covariance or, without one, usual tolerances, conditioned on what the
+paper's procedure measures well: relative pose and epipolar lines of the cameras at straight gaze,
+and the ratio of the focal lengths. What may have moved since the calibration is added.
 """
 
 from __future__ import annotations
@@ -88,35 +87,18 @@ _TOLERANCES = (
     np.radians([0.1, 0.0, 0.0, 0.0, 0.1]),  # axis_turn_rad
     (3e-4, 0.0, 0.0, 0.0, 3e-4),  # axis_shift_m
 )
-"""Usual errors of a calibration without a covariance, measured as docs/method.md tells. The others
-are assumptions: motion since the calibration by transport, temperature and screws; random walk in a
-minute of running; motion of a camera that was hit; a head known from its drawing only."""
+"""Usual errors of a calibration without a covariance, measured as docs/method.md describes. The
+others are assumptions: change by transport, temperature and screws; random walk in a minute;
+change of a camera that was hit; a head known from its drawing only."""
 USUAL, MOVED, DRIFT, BUMP, UNCALIBRATED = (
     Tolerance(*map(float, c)) for c in zip(*_TOLERANCES, strict=True)
 )
 
-_JUST_CALIBRATED = 1e-6
-"""Share of the variance of MOVED right after a calibration, so that the covariance can be inverted
-even if the calibration held parameters fixed."""
-_COMMON = 0.5
-"""Correlation of the errors of both eyes, whose lenses and encoders are of one make; halfway
-between independent and equal errors."""
 _LENS_INFLATION = 2.0
-"""Inflation of the stated errors of a lens fit; chosen with benchmarks/single_frames.py, where the
-squared Mahalanobis distance of the relative rotation is 1.76, 1.37, 1.16 and 0.96 per degree of
-freedom with 1, 1.5, 2 and 3."""
-_LENS_FLOOR_PX = 1e-3
-"""Least error of a fitted lens; exact data would make the covariance singular."""
+"""Inflation of the stated errors of a lens fit; chosen with benchmarks/single_frames.py."""
 _EPIPOLAR_PX = 0.3
 """Distance of points from their epipolar lines at straight gaze, root mean square over the image;
 0.05 to 0.5 in six calibrations of the twin by the paper's method."""
-_EPIPOLAR_DEGREES = 4
-"""Degrees of freedom of these distances: pitch, roll, vergence and the ratio of focal lengths."""
-_BOARD_DISTANCES = 5.0, 20.0
-"""Typical distances of boards, in baselines."""
-_COEFFICIENT_STD = 0.01
-"""Largest standard deviation of a combination of distortion coefficients; some combinations of a
-rational lens displace nothing, and would leave the linear range."""
 JOINT_STD_RAD = np.radians(0.2)
 """Noise of readings for which the calibration states none, until it is estimated."""
 LEAST_JOINT_STD_RAD = np.radians(0.05)
@@ -165,7 +147,7 @@ def initial_state(
     stds = np.maximum(stds, LEAST_JOINT_STD_RAD)
     rms = float(np.sqrt(np.mean(stds**2)))
     moved = tolerance_covariance(head, names, MOVED)
-    C = moved * _JUST_CALIBRATED if changed == "nothing" else moved
+    C = moved * 1e-6 if changed == "nothing" else moved  # C is inverted, if parameters were fixed
     if states_covariance(head):
         rows, stated = stated_covariance(head, names)
         C[np.ix_(rows, rows)] += stated
@@ -254,10 +236,11 @@ def tolerance_covariance(
 def _coefficient_covariance(lens: Camera, free: Sequence[int], lens_px: float) -> Array:
     """Compute the covariance (n, n) of the free distortion coefficients of a lens.
 
-    Together they displace the image by lens_px, root mean square; each alone is less certain.
+    Together they displace the image by lens_px, root mean square; each alone is less certain. Some
+    combinations of a rational lens displace nothing; their deviation of 0.01 keeps them linear.
     """
     shown = len(free) * displaced_by_distortion(lens)[np.ix_(free, free)] / lens_px**2
-    return np.asarray(np.linalg.inv(shown + np.eye(len(free)) / _COEFFICIENT_STD**2), float)
+    return np.asarray(np.linalg.inv(shown + np.eye(len(free)) / 0.01**2), float)
 
 
 @lru_cache(maxsize=64)
@@ -308,7 +291,8 @@ def _procedure_covariance(
     mixing[np.ix_(base, base)] = to_base
     C = mixing @ C @ mixing.T
     J = _epipolar_jacobian(pair.lenses, pair.T_second_first) @ pair.by_unknowns[:, : len(names)]
-    C = _condition(C, J, _EPIPOLAR_PX**2 * len(J) / _EPIPOLAR_DEGREES)
+    # They have four degrees of freedom: pitch, roll, vergence and the ratio of focal lengths.
+    C = _condition(C, J, _EPIPOLAR_PX**2 * len(J) / 4)
     fits = head.accuracy.lenses if head.accuracy else {}
     if all(name in fits and f"{name}.fx" in names for name in cameras):
         ratio = np.zeros((1, len(names)))
@@ -337,8 +321,9 @@ def _lens_fit_covariance(head: HeadCalibration, names: tuple[str, ...]) -> Array
         fitted = replace(
             USUAL,
             focal=max(fit.focal, USUAL.focal),
-            centre_px=max(_LENS_INFLATION * fit.centre_px, _LENS_FLOOR_PX),
-            lens_px=max(_LENS_INFLATION * fit.distortion_px or USUAL.lens_px, _LENS_FLOOR_PX),
+            # Exact data would make the covariance singular.
+            centre_px=max(_LENS_INFLATION * fit.centre_px, 1e-3),
+            lens_px=max(_LENS_INFLATION * fit.distortion_px or USUAL.lens_px, 1e-3),
         )
         own = [k for k, name in enumerate(names) if name.startswith(f"{camera}.")]
         C[np.ix_(own, own)] = tolerance_covariance(head, names, fitted)[np.ix_(own, own)]
@@ -348,7 +333,7 @@ def _lens_fit_covariance(head: HeadCalibration, names: tuple[str, ...]) -> Array
 def _correlate_eyes(
     head: HeadCalibration, names: tuple[str, ...], cameras: tuple[str, str], C: Array
 ) -> Array:
-    """Correlate the errors of corresponding parameters of both eyes."""
+    """Correlate the errors of both eyes by one half, as lenses and encoders are of one make."""
     lenses = [head.camera(name).intrinsics for name in cameras]
     alike = lenses[0].model == lenses[1].model
     excluded = () if alike else COEFFICIENTS[lenses[0].model]
@@ -365,7 +350,7 @@ def _correlate_eyes(
     one, other = ([pair[k] for pair in pairs] for k in (0, 1))
     roots = [sign[own, None] * np.linalg.cholesky(C[np.ix_(own, own)]) for own in (one, other)]
     C = C.copy()
-    C[np.ix_(one, other)] = _COMMON * roots[0] @ roots[1].T
+    C[np.ix_(one, other)] = 0.5 * roots[0] @ roots[1].T
     C[np.ix_(other, one)] = C[np.ix_(one, other)].T
     return C
 
@@ -393,10 +378,9 @@ def _epipolar_jacobian(lenses: Sequence[Camera], T_rcam_lcam: Array) -> Array:
     """Differentiate epipolar distances (N,) [px] all over the common view, by pair coordinates."""
     baseline = float(np.linalg.norm(T_rcam_lcam[:3, 3]))
     pixels = pixel_grid(lenses[0])
-    left = np.tile(pixels, (len(_BOARD_DISTANCES), 1))
-    points = (
-        unproject(lenses[0], left) * baseline * np.repeat(_BOARD_DISTANCES, len(pixels))[:, None]
-    )
+    left = np.tile(pixels, (2, 1))
+    distances_m = baseline * np.repeat([5.0, 20.0], len(pixels))  # typical ones of boards
+    points = unproject(lenses[0], left) * distances_m[:, None]
     right = project(lenses[1], se3.transform(T_rcam_lcam, points))
     inside = ((right >= 0) & (right <= np.array(lenses[1].size) - 1)).all(axis=1)  # NaN: unseen
     return epipolar_residuals(lenses, T_rcam_lcam, left[inside], right[inside]).by_coordinates

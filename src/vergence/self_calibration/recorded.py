@@ -32,8 +32,6 @@ convention."""
 _UNEXPECTED = 4.0
 """Change of a parameter, in prior standard deviations, that is reported; one of 50 reaches it by
 chance in one of 300 recordings."""
-_POINT_M = np.array([1.0, 0.0, 0.0])
-"""Point for which the accuracy of depth is stated, straight ahead of the left eye."""
 
 
 @dataclass(frozen=True)
@@ -173,10 +171,10 @@ def self_calibrate(
 
 
 def _depth_stds(before: FilterState, after: FilterState) -> tuple[float, float] | None:
-    stds = []
+    stds, point = [], np.array([1.0, 0.0, 0.0])
     for state in (before, after):
         head, straight = learned_head(state), straight_gaze(state.head.kinematics)
-        left, right = (project_point(head, c, straight, _POINT_M)[None] for c in state.cameras)
+        left, right = (project_point(head, c, straight, point)[None] for c in state.cameras)
         located = locate(head, left=left, right=right, joints=straight, cameras=state.cameras)
         if not np.isfinite(located.xyz).all():
             return None

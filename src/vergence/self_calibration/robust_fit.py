@@ -1,9 +1,8 @@
 """Robust iterated update: matches with outliers, and a Gaussian prior.
 
-The best of many hypotheses from three residuals each starts iteratively reweighted least squares
-with Tukey's biweight and a fixed scale. Residuals depend on the K unknowns through k coordinates:
-those of one or two lenses and of one pose. The fit is made in these, with the prior that they have.
-The result is the measurement alone, as normal equations in the unknowns.
+The best of many three-point hypotheses starts iteratively reweighted least squares with Tukey's
+biweight. Residuals depend on the K unknowns through k coordinates, those of one or two lenses and
+of one pose, in which the fit is made. The result is the measurement alone, as normal equations.
 """
 
 from __future__ import annotations
@@ -26,18 +25,10 @@ from vergence.self_calibration.match_noise import (
 )
 from vergence.self_calibration.state import Evidence
 
-_HYPOTHESES = 300
-"""Number of three-point hypotheses; enough at 70 % outliers."""
-_ITERATIONS = 4
-"""Iterations of each run of reweighted least squares."""
-_STARTING = 150
-"""Residuals that start a fit; more take longer and start no better."""
 INLIER = 0.3
 """Least weight of an inlier."""
 FEWEST = 12.0
 """Least number of inliers; fewer fit by chance."""
-_GATE = 1e-7
-"""Tail probability of the innovation gate."""
 LINEAR_RAD = 0.005
 """Error of a joint angle up to which residuals are linear: to 0.01 px at a focal length of 800."""
 
@@ -79,7 +70,7 @@ def robust_fit(
             again; None: they always are.
     """
     start, everyone, n = np.zeros(len(C)), np.arange(len(pixels)), len(pixels)
-    few = np.linspace(0, n, min(n, _STARTING), endpoint=False, dtype=int)
+    few = np.linspace(0, n, min(n, 150), endpoint=False, dtype=int)  # more start no better
     found = linearise(start, few if linear_range is None else everyone)
     y, A, M = found.residuals, found.by_coordinates, found.by_unknowns
     first = slice(None) if linear_range is None else few
@@ -119,7 +110,12 @@ def robust_fit(
 
 def passes_gate(evidence: Evidence) -> bool:
     """Decide whether the innovation is plausible under the prior."""
-    return evidence.distance <= chdtri(max(evidence.degrees, 1.0), _GATE)
+    return evidence.distance <= gate(evidence.degrees)
+
+
+def gate(degrees: float) -> float:
+    """Compute the largest plausible squared Mahalanobis distance, at a tail probability of 1e-7."""
+    return float(chdtri(max(degrees, 1.0), 1e-7))
 
 
 def _best_hypothesis(y: Array, A: Array, S: Array) -> Array:
@@ -140,14 +136,14 @@ def _best_hypothesis(y: Array, A: Array, S: Array) -> Array:
 
 @lru_cache(maxsize=64)
 def _triples(residuals: int) -> np.ndarray:
-    """Draw the residuals (H, 3) of each hypothesis; the same for the same number of residuals."""
-    return np.random.default_rng(0).integers(0, residuals, (_HYPOTHESES, 3))
+    """Draw the residuals (300, 3) of each hypothesis, enough at 70 % outliers."""
+    return np.random.default_rng(0).integers(0, residuals, (300, 3))
 
 
 def _reweighted(y: Array, A: Array, S: Array, w: Array) -> Array:
     """Compute the `_dual` (k,) of iteratively reweighted least squares, from a change w (k,)."""
     dual = np.zeros_like(w)
-    for _ in range(_ITERATIONS):
+    for _ in range(4):
         weighted = A * tukey_weights(y - A @ w)[:, None]
         dual = _dual(weighted.T @ A, weighted.T @ y, S)
         w = S @ dual
