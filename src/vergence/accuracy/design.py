@@ -47,8 +47,6 @@ FILLS = (0.5, 0.75)
 """Shares of an image's height that the circle about a board fills, at any slant."""
 LEAN_RAD = (0.6, 0.6, 0.4)
 """Maximum slants of a board about its axes, and turn in its plane [rad]."""
-USED = 0.85
-"""Part of the room beside a board in an image in which it moves."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +106,7 @@ def standard_recording(head: HeadCalibration, board: Chessboard) -> Views:
     distance = radius * (f / radius_px + np.sin(np.linalg.norm(LEAN_RAD[:2])))
     # The board stands wherever both images hold it whole; angles add up.
     edge = np.arctan((size_px / 2 - MARGIN_PX) / f)
-    room = USED * np.maximum(edge - np.arctan(radius_px / f)[:, None], 0.0)
+    room = 0.85 * np.maximum(edge - np.arctan(radius_px / f)[:, None], 0.0)
     apart = np.arctan(baseline / 2 / distance)
     pan = draw[:, 1] * np.maximum(room[:, 0] - apart, 0.0)
     tilt = draw[:, 2] * room[:, 1]

@@ -39,11 +39,6 @@ LIMIT_RAD = float(np.radians(20.0))
 """Maximum turn of a joint [rad]; beyond, a board is hard to hold."""
 CANDIDATES = (40, 12)
 """Places of the board that are tried, and directions of gaze at each."""
-POWER = 8
-"""Power of the mean over the points' standard deviations that views minimise. Their maximum would
-rate most views as useless."""
-EXCHANGES = 2
-"""Rounds of exchanges; benchmarks/next_views.py gains nothing by more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +152,7 @@ def choose(
     that of the candidates, `place` (V,) the number of each one's place, and `by_parameters`
     (W, 3, p) are derivatives of the points.
     """
-    task, total = "choosing views", count * (1 + EXCHANGES)
+    task, total = "choosing views", 3 * count  # two rounds of exchanges; more gain nothing
     chosen: list[int] = []
     progress(task, 0, total)
     for done in range(total):
@@ -183,7 +178,7 @@ def _costs(
     rest = before + of_places.sum(axis=0) - of_places
     together = rest[place] + marginalise_place(at_place[place] + of_views)
     std = largest_std(by_parameters, np.linalg.inv(together))
-    return (std**POWER).mean(axis=-1)
+    return (std**8).mean(axis=-1)  # their maximum would rate most views as useless
 
 
 def head_and_board(

@@ -27,8 +27,6 @@ LEAN_RAD = 0.7
 """Maximum turn of a board about each of its axes [rad]: beyond, corners are hard to detect."""
 FILLS = (0.35, 0.9)
 """Share of an image's width that a board facing it fills, far off and near."""
-TRIES = 400
-"""Random postures for each place of the board."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,8 +86,8 @@ def admissible_views(
     pair = [list(head.cameras).index(name) for name in pair_names(head)]
     found: list[tuple[Array, Array]] = []
     for T in _boards(head, board, limits_rad, rng, 20 * places):
-        joints = rng.uniform(-limits_rad, limits_rad, (TRIES, len(limits_rad)))
-        tried = Views(np.broadcast_to(T, (TRIES, 4, 4)), joints, np.zeros(TRIES, dtype=int))
+        joints = rng.uniform(-limits_rad, limits_rad, (400, len(limits_rad)))
+        tried = Views(np.broadcast_to(T, (400, 4, 4)), joints, np.zeros(400, dtype=int))
         good = joints[shows_whole_board(head, board, tried)[:, pair].all(axis=1)][:gazes]
         if len(good) == gazes:
             found.append((np.tile(T, (gazes, 1, 1)), good))

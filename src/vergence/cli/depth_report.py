@@ -14,12 +14,10 @@ from vergence.files import REPORT, markdown_table, write_whole
 from vergence.findings import warning
 from vergence.progress import Progress
 from vergence.self_calibration.dense_pairs import (
-    LEAST_MISALIGNED_RAD,
-    MISALIGNED,
     RANGE_M,
     DepthSequence,
+    largest_row_difference_rad,
     row_difference_rad,
-    row_noise_rad,
 )
 from vergence.viewer.depth import depth_blueprint, log_depth
 from vergence.viewer.recording import log_report, recording_file
@@ -43,20 +41,20 @@ def write_depth(out: Path, sequence: DepthSequence, progress: Progress) -> Repor
     """Write depth.rrd, depth.json and report.md of a sequence into a `results_folder`."""
     head, count = sequence.head, sequence.count
     progress("dense depth, pairs", 0, count)
-    relative_stds, shares, rows_rad, noises_rad = [], [], [], []
+    relative_stds, shares, rows_rad, limits_rad = [], [], [], []
     with recording_file(out / "depth.rrd", "depth", depth_blueprint(), head) as rec:
         for k, (frame, (pair, dense)) in enumerate(sequence.found):
             near = dense.textured & (dense.depth_m > RANGE_M[0]) & (dense.depth_m < RANGE_M[1])
             relative_stds.append(dense.std_m[near] / dense.depth_m[near])
             shares.append((np.isfinite(dense.depth_m).mean(), dense.textured.mean()))
             rows_rad.append(row_difference_rad(frame, pair))
-            noises_rad.append(row_noise_rad(pair))
+            limits_rad.append(largest_row_difference_rad(pair))
             log_depth(rec, index=k, frame=frame, pair=pair, found=dense)
             progress("dense depth, pairs", k + 1, count)
         matched, textured = np.mean(shares, axis=0)
         stds, known = np.concatenate(relative_stds), np.isfinite(rows_rad)
         angle_rad = float(np.median(np.array(rows_rad)[known])) if known.any() else np.nan
-        doubtful = angle_rad > max(MISALIGNED * np.median(noises_rad), LEAST_MISALIGNED_RAD)
+        doubtful = angle_rad > np.median(limits_rad)
         doubt = warning("misaligned-rows", DOUBT.format(np.degrees(angle_rad)))
         report = depth_report(
             {

@@ -29,12 +29,6 @@ from vergence.vision.matching.scene_features import match_scene
 RANGE_M = (0.5, 1.5)
 """Distances at which accuracy is stated [m]."""
 
-MISALIGNED = 4.2
-"""Median angle between the rows of features, over that by the noise of readings, from which a
-calibration is doubted; noise alone makes 0.7."""
-LEAST_MISALIGNED_RAD = float(np.radians(0.1))
-"""Smallest such angle [rad]: well above the noise of matched features."""
-
 
 PairDepth = tuple[RectifiedPair, DenseDepth]
 """A rectified pair, and the depth of its pixels."""
@@ -141,11 +135,17 @@ def row_difference_rad(frame: Frame, pair: RectifiedPair) -> float:
     return float(np.nanmedian(np.abs(above[1] - above[0])))
 
 
-def row_noise_rad(pair: RectifiedPair) -> float:
-    """Compute the standard deviation [rad] of that angle by the noise of readings.
+def largest_row_difference_rad(pair: RectifiedPair) -> float:
+    """Compute the angle [rad] between rows from which a calibration is doubted.
 
-    A tilt that both eyes share turns the rows of both alike.
+    It is 4.2 standard deviations by the noise of readings, where noise alone makes a median of 0.7,
+    and at least 0.1 degrees. A tilt that both eyes share turns the rows of both alike.
     """
+    return max(4.2 * _row_noise_rad(pair), float(np.radians(0.1)))
+
+
+def _row_noise_rad(pair: RectifiedPair) -> float:
+    """Compute the standard deviation [rad] of the angle between rows by the noise of readings."""
     if measured(pair.joints):
         return JOINT_STD_RAD
     head, factors = pair.head, pair.head.kinematics.gear_ratios

@@ -30,16 +30,12 @@ NEAREST_M = 0.3
 """Least depth that is sought by default, where the cameras show it."""
 BLOCK_PX = 5
 """Side of the blocks that are compared."""
-NOISE_GREY = 3.0
-"""Noise of a rectified image, with what interpolation adds [grey levels]."""
 LEAST_STD_PX = 0.15
 """Standard deviation of a disparity where texture is strong: the matcher's own interpolation."""
 TEXTURED_PX = 0.4
 """Standard deviation by texture up to which a pixel counts as textured."""
 _SLOPE_PX = 9
 """Side of the square in which the slant of a surface is fitted: about two blocks."""
-_STEEPEST = 1.0
-"""Largest change of the disparity per pixel that is counted; steeper ones are edges."""
 _GRID_PX = 32
 """Spacing of the pixels for which the calibration's part is computed, which changes slowly."""
 
@@ -156,11 +152,12 @@ def _match(left: np.ndarray, right: np.ndarray, largest_px: float) -> Array:
 def _std_by_texture(grey: np.ndarray) -> Array:
     """Compute the standard deviation (H, W) [px] of a block's match: its Cramer-Rao bound.
 
-    The variance is 2 noise^2 / sum of dI/du^2, and the matcher's own error is added.
+    The variance is 2 noise^2 / sum of dI/du^2, for a noise of 3 grey levels with that of
+    interpolation. The matcher's own error is added.
     """
     slope = cv2.Scharr(grey, cv2.CV_32F, 1, 0) / 32
     energy = cv2.boxFilter(slope * slope, -1, (BLOCK_PX, BLOCK_PX), normalize=False)
-    return np.sqrt(LEAST_STD_PX**2 + 2 * NOISE_GREY**2 / np.maximum(energy.astype(float), 1e-6))
+    return np.sqrt(LEAST_STD_PX**2 + 2 * 3.0**2 / np.maximum(energy.astype(float), 1e-6))
 
 
 def _std_by_slope(disparity: Array) -> Array:
@@ -181,7 +178,7 @@ def _std_by_slope(disparity: Array) -> Array:
     )
     # A line by least squares; zero where a single column was matched.
     slope = (n * sum_ud - sum_u * sum_d) / np.maximum(n * sum_uu - sum_u**2, 1.0)
-    return BLOCK_PX / 2 * np.minimum(np.abs(slope), _STEEPEST)
+    return BLOCK_PX / 2 * np.minimum(np.abs(slope), 1.0)  # steeper ones are edges
 
 
 def _std_by_geometry(

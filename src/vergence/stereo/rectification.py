@@ -33,8 +33,6 @@ from vergence.stereo.extrinsics import camera_poses, stereo_cameras
 FOCAL_SHARE = 0.85
 """Focal length of the rectified cameras, relative to the mean of the real ones: eyes that diverge
 need a wider view."""
-LEAST_OVERLAP = 0.05
-"""Share of the rows in which the views must overlap."""
 _ROWS = 16
 """Rows of a map that are projected at a time, so that they stay in the cache."""
 _OUTSIDE = -1e4
@@ -153,7 +151,7 @@ def rectify(
         RectifiedView(lens, R, *_map(lens, R, matrix, size))
         for lens, R in zip(lenses, (R_rect_lcam, R_rect_lcam @ R_lcam_rcam), strict=True)
     ]
-    if _overlap(*views) < LEAST_OVERLAP:
+    if _overlap(*views) < 0.05:
         raise _apart(cameras)
     return RectifiedPair(
         head=head,
