@@ -54,8 +54,8 @@ POOR = [
     (Recording(orientations=0), (NOT_OBSERVABLE, "in 1 view")),
     (own_placements(), ("give the views of a board that stands still one number in `placement`",)),
     (
-        Recording(slant_rad=(0.0, 0.0)),
-        ("left_wide.fx and fy rest on the turns", "boards stand at one angle"),
+        Recording(slant_rad=(0.0, 0.0), reach_rad=(0.16, 0.16)),
+        ("left_wide.fx and fy are uncertain", "sees all boards at one angle"),
     ),
     (Recording(straight=1, orientations=1), (TWICE, "record at least 3, better 10")),
     (blind(), ("right_wide shows the board in 0 images at rest",)),

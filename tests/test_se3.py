@@ -6,6 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from vergence.arrays import nearest_rotation
+from vergence.errors import VergenceError
 from vergence.geometry.se3 import (
     angle,
     boxminus,
@@ -13,8 +15,8 @@ from vergence.geometry.se3 import (
     hat,
     inverse,
     mean_pose,
-    nearest_rotation,
     pose,
+    rigid_poses,
     rotation,
     rotvec,
     transform,
@@ -149,3 +151,17 @@ def test_the_mean_of_poses_that_differ_much_is_a_pose():
     half_turns = pose(rotation(np.pi * np.eye(3)[[0, 1]]))
     quarter = pose(rotation([0.0, 0.0, np.pi - 0.1]))
     assert np.linalg.det(mean_pose(np.stack([*half_turns, quarter]))[:3, :3]) > 0
+
+
+@given(T=poses, digits=st.integers(3, 5))
+def test_rounded_poses_become_the_nearest_rigid_ones_and_others_are_refused(T, digits: int):
+    read = T.copy()
+    read[:3, :3] = np.round(T[:3, :3], digits)
+    found, said = rigid_poses("eye", read)
+    assert [each.code for each in said] in ([], ["rounded-poses"])
+    assert np.abs(found[:3, :3] @ found[:3, :3].T - np.eye(3)).max() < 2e-6
+    assert np.abs(found - T).max() < 2 * 10.0**-digits
+    assert np.array_equal(rigid_poses("eye", found)[0], found)
+    read[:3, :3] *= 1.003
+    with pytest.raises(VergenceError, match="eye: expected a rigid transform"):
+        rigid_poses("eye", read)

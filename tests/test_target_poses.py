@@ -15,7 +15,8 @@ from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, camera_pose_in_base
 from vergence.geometry.kinematics import EYES, Side, eye_pose
 from vergence.geometry.parameters import boxminus, without_offsets
-from vergence.geometry.se3 import boxplus, inverse
+from vergence.geometry.se3 import boxminus as boxminus_pose
+from vergence.geometry.se3 import boxplus, inverse, pose, rotation
 
 NOISE = np.diag(np.repeat([0.003, 0.0006], 3) ** 2)
 EYES_OF: dict[str, Side] = {"left_wide": "left", "right_wide": "right"}
@@ -199,3 +200,34 @@ def test_readings_in_another_order_are_void(order):
         poses, readings[:, order], eyes=EYES_OF, covariance=dict.fromkeys(poses, NOISE)
     )
     assert texts(found.findings, "void")
+
+
+def by_poses(
+    axes: int, seed: int, noise: tuple[float, float] = (1e-3, 3e-4)
+) -> tuple[dict[str, Array], Array, Array]:
+    """Return poses of a target by two cameras on one body that turns about some axes, its poses,
+    and T_eye_cam (2, 4, 4)."""
+    rng = np.random.default_rng(seed)
+    turns = rng.uniform(-0.5, 0.5, (20, axes)) @ np.linalg.qr(rng.normal(size=(3, 3)))[0][:axes]
+    body = pose(rotation(turns), rng.uniform(-0.1, 0.1, (20, 3)))
+    mounts = pose(rotation(rng.normal(0, 0.5, (2, 3))), rng.normal(0, 0.05, (2, 3)))
+    T = inverse(body[:, None] @ mounts) @ pose(rotation(rng.normal(0, 0.3, 3)), [0, 0, 0.6])
+    T = boxplus(T, rng.normal(0, 1, (20, 2, 6)) * np.repeat(noise, 3))
+    return dict(zip(EYES_OF, np.moveaxis(T, 1, 0), strict=True)), body, mounts
+
+
+def test_two_cameras_on_one_body_of_measured_and_rounded_poses_are_placed():
+    poses, body, mounts = by_poses(3, 1)
+    T_base_eye = np.round(np.stack([body, body], axis=1), 4)
+    found = adjust_target_poses(poses, T_base_eye, eyes=EYES_OF)
+    assert texts(found.findings, "void", "warning") == []
+    assert [each.code for each in found.findings] == ["rounded-poses"]
+    for mounted, T in zip(found.head.cameras.values(), mounts, strict=True):
+        assert np.abs(boxminus_pose(mounted.T_eye_cam, T)).max() < 3e-3
+
+
+def test_a_body_that_turns_about_one_axis_voids_the_result():
+    poses, body, _ = by_poses(1, 1)
+    body = boxplus(body, np.random.default_rng(2).normal(0, 1e-3, (20, 6)))
+    found = adjust_target_poses(poses, np.stack([body, body], axis=1), eyes=EYES_OF)
+    assert "turn it by at least 0.1 rad" in texts(found.findings, "void")[0]

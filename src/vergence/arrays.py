@@ -55,12 +55,34 @@ MAX_M = 1e6
 """Largest coordinate of a translation or a point [m]; far larger ones overflow."""
 
 
+ROUNDED = 1e-3
+"""Distance of a number from that of the nearest rotation, up to which it counts as rounded: three
+decimals, as some robots print them, err by 0.0005, and up to twice that in the nearest rotation."""
+
+
+def nearest_rotation(M: Array) -> Array:
+    """Project matrices M (..., 3, 3) onto the nearest rotations.
+
+    The orthogonal factor of M, with the direction of the least singular value turned round where
+    that factor is a mirror image.
+    """
+    U, _, Vt = np.linalg.svd(M)
+    U[..., :, 2] *= np.sign(np.linalg.det(U @ Vt))[..., None]
+    return U @ Vt
+
+
 def rigid(T: Array) -> Array:
-    """Check that arrays (..., 4, 4) are rigid transforms in metres; ValueError otherwise."""
+    """Take arrays (..., 4, 4) to the nearest rigid transforms in metres; ValueError: none is near.
+
+    Those that are rigid stay as they are.
+    """
     R, t = T[..., :3, :3], T[..., :3, 3]
-    handed = np.linalg.det(R).min(initial=1)
-    off = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max(initial=0)
-    if off > 2e-6 or handed < 0:
+    handed, found = np.linalg.det(R).min(initial=1), T
+    if np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max(initial=0) > 2e-6:
+        found = T.copy()
+        found[..., :3, :3] = nearest_rotation(R)
+        found.setflags(write=T.flags.writeable)
+    if np.abs(found - T).max(initial=0) > ROUNDED or handed < 0:
         problem = "left-handed axes or" if handed < 0 else "a quaternion that is not normalised, or"
         raise ValueError(
             f"expected a rigid transform, found {problem} a rotation part that is not a rotation"
@@ -69,7 +91,7 @@ def rigid(T: Array) -> Array:
         raise ValueError(f"expected a translation in metres, found {largest:g}")
     if np.abs(T[..., 3, :] - [0, 0, 0, 1]).max(initial=0) > 1e-9:
         raise ValueError("expected a last row of 0 0 0 1")
-    return T
+    return found
 
 
 _validate44, _serialise = _shaped(4, 4)

@@ -14,13 +14,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vergence.arrays import Array
+from vergence.arrays import Array, nearest_rotation
 from vergence.calibration.observations import Observations, camera_eyes, most_seen
 from vergence.errors import VergenceError
 from vergence.findings import Finding, note, warning
 from vergence.geometry.board import Board, Charuco, corner_points
 from vergence.geometry.kinematics import EYES
-from vergence.geometry.se3 import known_poses, nearest_rotation, pose, rotation, rotvec
+from vergence.geometry.se3 import known_poses, pose, rotation, rotvec
 
 SPREAD_RAD, CAP = 0.05, 50.0
 """Angle between views that are numbered alike (gains of a few percent, joint noise of half a degree

@@ -9,7 +9,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.bundle_start import BundleProblem, PoseObservations
-from vergence.calibration.observations import Observations
+from vergence.calibration.observations import Observations, most_seen
 from vergence.calibration.residuals import Readings, Reprojection
 from vergence.errors import counted, listed
 from vergence.estimation.adjustment import Adjustment
@@ -18,6 +18,7 @@ from vergence.findings import Finding, by_severity, void, warning
 from vergence.geometry.head import parameter_names
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.lens import COEFFICIENTS
+from vergence.geometry.se3 import rotvec
 
 FEW = 6
 """Degrees of freedom below which an estimated noise level is heavy-tailed, and the covariance
@@ -39,6 +40,9 @@ ADVISED = "by at least 0.1 rad, better 0.25"
 """Median stated deviation of the worst axis, 20 views at 0.1 px and 0.1 degrees, board at 0.4 m:
 0.92 degrees and 2.6 mm for motion within 0.03 rad, 0.27 and 0.8 within 0.1, 0.10 and 0.3 within
 0.25."""
+LEAST_MOTION_RAD = 0.01
+"""Minimum root mean square turn of an eye about its second axis: with a joint noise of 0.3 degrees
+and 20 views the paper's method is then wrong by 7 degrees."""
 SENSE = 6.0
 """Motion, as a multiple of the noise of its mean, from which its sense is certain."""
 
@@ -94,6 +98,14 @@ class BundleFindings:
         return self.problem.readings.postures.T_base_eye_read is not None
 
 
+def spread(vectors: Array) -> Array:
+    """Compute the standard deviations (3,) of vectors (N, 3) along their principal axes."""
+    if len(vectors) < 3:
+        return np.zeros(3)
+    away = vectors - vectors.mean(axis=0)
+    return np.linalg.svd(away, compute_uv=False) / np.sqrt(len(vectors))
+
+
 def _doubtful(of: BundleFindings) -> Iterator[Finding]:
     """Report an estimate that must not be used.
 
@@ -108,6 +120,7 @@ def _doubtful(of: BundleFindings) -> Iterator[Finding]:
             "turn farther."
         )
         yield void("not-converged", sentence)
+    yield from _about_one_axis(of)
     if of.poses_read:
         return
     detections, postures = of.problem.measured.detections, of.problem.readings.postures
@@ -129,6 +142,32 @@ def _doubtful(of: BundleFindings) -> Iterator[Finding]:
                     f"of the motion is uncertain: let it turn {ADVISED}."
                 )
                 yield void("doubtful-sense", sentence, name)
+
+
+def _about_one_axis(of: BundleFindings) -> Iterator[Finding]:
+    """Report eyes that turn about one axis only: their cameras may then stand anywhere along it."""
+    x, detections = of.found.x, of.problem.measured.detections
+    parameters = np.array(parameter_names(x["head"]))[x.shared["head"].free]
+    R = detections.eye_poses(x)[:, :3, :3]
+    for e, eye in enumerate(EYES):
+        cameras = [c for c in np.flatnonzero(detections.eye == e) if c in detections.camera]
+        names = [detections.cameras[c] for c in cameras]
+        if not any(f"{name}.T_eye_cam.tx" in parameters for name in names):
+            continue
+        turned = []
+        for c in cameras:
+            mine = np.flatnonzero(detections.camera == c)
+            mine = mine[most_seen(detections.board[mine], np.ones(len(mine), bool))]
+            turned.append(spread(rotvec(np.swapaxes(R[mine[:1]], 1, 2) @ R[mine])))
+        first, second, _ = max(turned, key=lambda each: each[1])
+        if second < LEAST_MOTION_RAD:
+            where = f"{names[0]}.T_eye_cam"
+            sentence = (
+                f"{where} is not observable: before a board at rest the {eye} eye turns by "
+                f"{first:.2g} rad about one axis and by {second:.2g} rad about another; turn it "
+                f"{ADVISED} about two axes."
+            )
+            yield void("one-axis", sentence, where)
 
 
 def _left_out(of: BundleFindings) -> Iterator[Finding]:
@@ -184,7 +223,9 @@ def _unobservable(of: BundleFindings) -> Iterator[Finding]:
             parts = {o: [word[i] for i in sorted(large) if owner[i] == o] for o in owners}
             subject = " together with ".join(f"{o} {listed(parts[o])}".strip() for o in owners)
             sentence = f"{subject}: {what}; {_missing_motion(of)}."
-            yield warning("unobservable", sentence, ", ".join(owners))
+            lost = what.startswith("not") and any(o.endswith("T_eye_cam") for o in owners)
+            make = void if lost else warning
+            yield make("unobservable", sentence, ", ".join(owners))
 
 
 def _sparse(rows: Array) -> Array:

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.bundle_findings import ADVISED
+from vergence.calibration.bundle_findings import ADVISED, LEAST_MOTION_RAD, spread
 from vergence.calibration.intrinsics import Intrinsics, jackknife_covariance, noise_covariance
 from vergence.calibration.lenses import without_poses
 from vergence.calibration.observations import Observations, camera_eyes, most_seen
@@ -23,11 +23,9 @@ from vergence.geometry.kinematics import EYES, eye_joint_angles
 from vergence.geometry.se3 import known_poses, rotvec
 from vergence.vision.board_pose import board_errors, determines_pose, seen_corners
 
-LEAST_MOTION_RAD = 0.01
-"""Minimum root mean square turn of an eye about its second axis: with a joint noise of 0.3 degrees
-and 20 views the paper's method is then wrong by 7 degrees."""
 ONE_ANGLE_RAD = 0.1
-"""Root mean square spread of the boards' normals below which they stand at one angle."""
+"""Root mean square spread of the boards' normals, in a camera's axes, below which it sees them at
+one angle."""
 FOCAL_PART, FOCAL_SURE = 0.004, 1e-4
 """Relative standard deviation of a focal length from which a warning is given, and below which
 the eye's own turns have slanted the board."""
@@ -50,8 +48,8 @@ def check_excitation(seen: Observations, T_cam_target: Mapping[str, Array]) -> N
     for name, eye in camera_eyes(seen).items():
         rows = most_seen(seen.placement, known_poses(T_cam_target[name]))
         R = T_cam_target[name][rows, :3, :3]
-        spread = _spread(rotvec(R @ R[:1].swapaxes(1, 2)))
-        found = (float(spread[1]), float(spread[0]), name, rows)
+        turned = spread(rotvec(R @ R[:1].swapaxes(1, 2)))
+        found = (float(turned[1]), float(turned[0]), name, rows)
         e = EYES.index(eye)
         best[e] = max(best.get(e, found), found, key=lambda each: (each[0], len(each[3])))
     said = [_lacking(seen, e, *best[e]) for e in sorted(best) if best[e][0] < LEAST_MOTION_RAD]
@@ -84,16 +82,7 @@ def _lacking(
     )
 
 
-def _spread(vectors: Array) -> Array:
-    """Compute the standard deviations (3,) of vectors (N, 3) along their principal axes."""
-    if len(vectors) < 3:
-        return np.zeros(3)
-    away = vectors - vectors.mean(axis=0)
-    return np.linalg.svd(away, compute_uv=False) / np.sqrt(len(vectors))
-
-
 def doubtful_focal_lengths(
-    seen: Observations,
     T_cam_target: Mapping[str, Array],
     head: HeadCalibration,
     focal_std_px: Mapping[str, tuple[float, float]],
@@ -103,7 +92,7 @@ def doubtful_focal_lengths(
     By camera T_cam_target are the board's poses (V, 4, 4), NaN where not known, and focal_std_px
     the standard deviations of fx and fy.
     """
-    findings, eye_poses = [], seen.eye_poses()
+    findings = []
     for name, mounted in head.cameras.items():
         part = float((focal_std_px[name] / np.diag(mounted.intrinsics.matrix)[:2]).max())
         if part > FOCAL_PART:
@@ -114,15 +103,11 @@ def doubtful_focal_lengths(
             findings.append(warning("focal-length", sentence, name))
         if part < FOCAL_SURE:
             continue
-        T_base_eye = eye_poses[:, EYES.index(mounted.eye)]
-        normals = (T_base_eye @ mounted.T_eye_cam @ T_cam_target[name])[:, :3, 2]
-        known = np.isfinite(normals).all(axis=1)
-        numbers = np.unique(seen.placement[known])
-        means = [normals[known & (seen.placement == p)].mean(axis=0) for p in numbers]
-        if means and _spread(np.array(means))[0] < ONE_ANGLE_RAD:
+        T = T_cam_target[name]
+        if spread(T[known_poses(T), :3, 2])[0] < ONE_ANGLE_RAD:
             sentence = (
-                f"{name}.fx and fy rest on the turns of the eyes alone, since all boards stand at "
-                f"one angle: {SLANT}."
+                f"{name}.fx and fy are uncertain, since {name} sees all boards at one angle: "
+                f"{SLANT}."
             )
             findings.append(warning("boards-at-one-angle", sentence, name))
     return findings

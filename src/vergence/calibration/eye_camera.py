@@ -24,7 +24,7 @@ from vergence.geometry.camera import Camera, intrinsics_names
 from vergence.geometry.head import HeadCalibration, MountedCamera, parameter_names
 from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import Kinematics, check_turns, eye_pose, pan_tilt
-from vergence.geometry.se3 import check_rigid, known_poses
+from vergence.geometry.se3 import known_poses, rigid_poses
 from vergence.vision.board_pose import board_poses
 
 _NAME = "camera"
@@ -96,7 +96,11 @@ def refine_eye_camera(
     start = None if start is None else np.asarray(start, dtype=float)
     _check(eye, pixels, points, kinematics, np.eye(4) if start is None else start)
     check_noise(joint_std, pixel_std_px=pixel_std_px, outlier=outlier)
-    angles = eye if eye.ndim == 2 else None
+    angles, rounded = (eye if eye.ndim == 2 else None), ()
+    if angles is None:
+        eye, rounded = rigid_poses("eye", eye)
+    if start is not None:
+        start, _ = rigid_poses("start", start)
     if angles is not None and isinstance(joint_std, tuple):
         raise VergenceError(
             f"joint_std of joint readings is one number [rad], found {joint_std}; two, of "
@@ -123,7 +127,7 @@ def refine_eye_camera(
         noise=NoiseModel(pixel_std_px, joint_std, outlier),
         priors=priors,
     )
-    findings = found.findings
+    findings = (*found.findings, *rounded)
     if intrinsics_covariance is None:
         sentence = "The covariance leaves out that of the intrinsics, taken as exact."
         findings += (warning("exact-intrinsics", sentence),)
@@ -198,6 +202,3 @@ def _check(eye: Array, pixels: Array, points: Array, kinematics: Kinematics, sta
             )
     if eye.ndim == 2:
         check_turns(kinematics, eye)
-    else:
-        check_rigid("eye", eye)
-    check_rigid("start", start)

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from vergence.arrays import Array
+from vergence.arrays import Array, nearest_rotation
 from vergence.errors import VergenceError
-from vergence.geometry.se3 import inverse, nearest_rotation, pose, rotvec
+from vergence.geometry.se3 import inverse, pose, rotvec
 
 AGREE_RAD = 0.1
 """Views agree if they put the board within this angle of each other: far beyond any joint noise,

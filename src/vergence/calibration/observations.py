@@ -18,7 +18,7 @@ from vergence.geometry.board import Board
 from vergence.geometry.camera import is_image_size
 from vergence.geometry.head import HeadCalibration, check_camera_name
 from vergence.geometry.kinematics import EYES, Kinematics, Side, eye_pose
-from vergence.geometry.se3 import check_rigid, inverse, known_poses, mean_pose
+from vergence.geometry.se3 import inverse, known_poses, mean_pose, rigid_poses
 
 NO_CORNERS, UNREADABLE_IMAGE = "no-corners", "unreadable-image"
 """Codes of the notes on images that gave no corners."""
@@ -97,7 +97,8 @@ class Observations:
                     f"Corners of {name} are finite pixels, or NaN where not seen; found infinity."
                 )
         if self.T_base_eye is not None:
-            check_rigid("T_base_eye", self.T_base_eye)
+            T, rounded = rigid_poses("T_base_eye", self.T_base_eye)
+            vars(self).update(T_base_eye=T, findings=(*self.findings, *rounded))
         self._check_cameras()
 
     def _check_cameras(self) -> None:

@@ -15,7 +15,7 @@ from itertools import combinations, permutations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from vergence.arrays import Array
+from vergence.arrays import Array, nearest_rotation
 from vergence.calibration.board_numbering import (
     EXACT_RAD,
     LEAST_SPREAD_RAD,
@@ -37,7 +37,7 @@ from vergence.geometry.kinematics import (
     eye_pose,
     straight_gaze,
 )
-from vergence.geometry.se3 import angle, inverse, known_poses, nearest_rotation, pose, rotvec
+from vergence.geometry.se3 import angle, inverse, known_poses, pose, rotvec
 from vergence.stereo.extrinsics import stereo_cameras
 
 LEAST_VIEWS = 6

@@ -37,7 +37,7 @@ from vergence.geometry.kinematics import (
     eye_pose,
     same_design,
 )
-from vergence.geometry.se3 import angle, check_rigid, inverse, known_poses, mean_pose
+from vergence.geometry.se3 import angle, inverse, known_poses, mean_pose, rigid_poses
 
 LEAST_POSES = 3
 """Fewest poses of a target at rest, from which a camera's place in its eye follows."""
@@ -122,7 +122,14 @@ def adjust_target_poses(
     views = len(eye) if eye.ndim else 0
     placement = np.zeros(views, dtype=int) if placement is None else np.asarray(placement)
     _check_target_poses(T_cam_target, eye, eyes, kinematics, placement)
-    measured_eyes, read = eye.ndim == 4, eye
+    measured_eyes, rounded = eye.ndim == 4, []
+    for name, T in T_cam_target.items():
+        T_cam_target[name], found = rigid_poses(f"T_cam_target of {name}", T)
+        rounded += found
+    if measured_eyes:
+        eye, found = rigid_poses("eye", eye)
+        rounded += found
+    read = eye
     if not measured_eyes:
         read = np.stack([eye_pose(kinematics, side, eye) for side in EYES], axis=1)
     _check_not_stuck(T_cam_target, read, eyes)
@@ -153,6 +160,8 @@ def adjust_target_poses(
         name: each if pose_std is None else each / np.repeat(pose_std, 3)
         for name, each in found.residuals_px.items()
     }
+    # Bases of measured poses may stand anywhere, as those of two cameras on one body do.
+    implausible = [] if measured_eyes else implausible_geometry(found.head)
     return TargetPoseEstimate(
         head=found.head,
         parameters=found.parameters,
@@ -163,7 +172,7 @@ def adjust_target_poses(
         T_lbase_target=found.T_lbase_target,
         T_base_eye=found.T_base_eye,
         errors=errors,
-        findings=by_severity((*found.findings, *implausible_geometry(found.head))),
+        findings=by_severity((*found.findings, *rounded, *implausible)),
     )
 
 
@@ -241,9 +250,7 @@ def _check_target_poses(
             f"placement has a number for each of {counted(views, 'view')}, found shape "
             f"{placement.shape}."
         )
-    if eye.ndim == 4:
-        check_rigid("eye", eye)
-    else:
+    if eye.ndim == 2:
         check_turns(kinematics, eye)
     for name, T in T_cam_target.items():
         if T.shape != (views, 4, 4):
@@ -253,7 +260,6 @@ def _check_target_poses(
             )
         if eyes.get(name) not in EYES:
             raise VergenceError(f"eyes does not say in which eye {name} sits, left or right.")
-        check_rigid(f"T_cam_target of {name}", T)
 
 
 def _check_not_stuck(

@@ -58,6 +58,11 @@ def load_dataset(folder: str | Path) -> Dataset:
     kinematics = description.head_kinematics
     eye_angles = joint_angles(description, kinematics.readings, table)
     neck_angles = joint_angles(description, NECK_JOINTS, table)
+    T_base_eye, findings = None, ()
+    if poses:
+        T_base_eye, findings = measured_eye_poses(description, table)
+    else:
+        findings = _unmarked_motion(kinematics, eye_angles, joint_time_s, moving)
     return Dataset(
         folder=folder,
         description=description,
@@ -65,12 +70,12 @@ def load_dataset(folder: str | Path) -> Dataset:
         time_s=time_s,
         joint_time_s=joint_time_s,
         eye_angles=np.full_like(eye_angles, np.nan) if poses else eye_angles,
-        T_base_eye=measured_eye_poses(description, table) if poses else None,
+        T_base_eye=T_base_eye,
         neck_angles=neck_angles,
         placement=placements(neck_angles, table),
         moving=moving,
         files=_image_files(folder, description, table),
-        findings=() if poses else _unmarked_motion(kinematics, eye_angles, joint_time_s, moving),
+        findings=findings,
     )
 
 

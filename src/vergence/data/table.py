@@ -26,9 +26,10 @@ from vergence.data.description import (
 )
 from vergence.errors import VergenceError, counted, explain
 from vergence.files import MAX_DIGITS, read_bytes
+from vergence.findings import Finding
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.neck import NECK_JOINTS
-from vergence.geometry.se3 import check_rigid
+from vergence.geometry.se3 import rigid_poses
 
 MAX_DELAY_S = 1.0
 """Largest time between an image and its joint reading [s]; more means that the clocks differ."""
@@ -206,12 +207,16 @@ def placements(neck_angles: Array, table: Table) -> np.ndarray:
     return placement
 
 
-def measured_eye_poses(description: Description, table: Table) -> Array:
-    """Parse T_base_eye (N, 2, 4, 4); the identity for an eye without cameras."""
-    T = np.tile(np.eye(4), (len(table.lines), len(EYES), 1, 1))
+def measured_eye_poses(description: Description, table: Table) -> tuple[Array, tuple[Finding, ...]]:
+    """Parse T_base_eye (N, 2, 4, 4), and note the first that is rounded.
+
+    The identity stands for an eye without cameras.
+    """
+    T, rounded = np.tile(np.eye(4), (len(table.lines), len(EYES), 1, 1)), ()
     for eye in description.eyes:
         names = pose_columns(eye)
-        T[:, EYES.index(eye)] = table.numbers(names).reshape(-1, 4, 4)
-        for k, pose in enumerate(T[:, EYES.index(eye)]):
-            check_rigid(f"{table.where(k)}: {names[0]} to {names[-1]}", pose)
-    return T
+        for k, read in enumerate(table.numbers(names).reshape(-1, 4, 4)):
+            where = f"{table.where(k)}: {names[0]} to {names[-1]}"
+            T[k, EYES.index(eye)], found = rigid_poses(where, read)
+            rounded = rounded or found
+    return T, rounded

@@ -25,7 +25,7 @@ from vergence.geometry.kinematics import (
 )
 from vergence.geometry.parameters import camera_columns
 from vergence.geometry.projection import camera_pose
-from vergence.geometry.se3 import POSE, check_rigid, cross, hat, inverse
+from vergence.geometry.se3 import POSE, cross, hat, inverse, rigid_poses
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +113,7 @@ def measured(joints: ArrayLike) -> bool:
 def check_joints(kinematics: Kinematics, joints: Array) -> None:
     """Raise VergenceError for readings (..., r) in degrees, and for poses that are not rigid."""
     if measured(joints):
-        check_rigid("joints", joints)
+        rigid_poses("joints", joints)
     else:
         check_turns(kinematics, joints)
 
@@ -121,10 +121,11 @@ def check_joints(kinematics: Kinematics, joints: Array) -> None:
 def eye_poses(head: HeadCalibration, joints: ArrayLike) -> Array:
     """Compute T_base_eye (..., 2, 4, 4) of the left and the right eye at readings (..., r) [rad].
 
-    Measured poses (..., 2, 4, 4) are returned as they are. VergenceError if it is neither.
+    Measured poses (..., 2, 4, 4) stay as they are, but for rounded rotations. VergenceError if it
+    is neither.
     """
     if measured(joints):
-        poses = batch_last(np.asarray(joints, dtype=float), 3)
+        poses = batch_last(rigid_poses("joints", np.asarray(joints, dtype=float))[0], 3)
         return batch_first(np.ascontiguousarray(poses), 3)
     both = [eye_pose(head.kinematics, eye, joints) for eye in EYES]
     return batch_first(np.stack([batch_last(T, 2) for T in both]), 3)

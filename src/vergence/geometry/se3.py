@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from vergence.arrays import Array, floats, rigid
+from vergence.arrays import Array, floats, nearest_rotation, rigid
 from vergence.errors import VergenceError
+from vergence.findings import Finding, note
 from vergence.geometry.batches import batch_first, batch_last
 
 POSE = ("rx", "ry", "rz", "tx", "ty", "tz")
@@ -93,13 +94,6 @@ def angle(R: Array) -> Array:
     return Rotation.from_matrix(R).magnitude()
 
 
-def nearest_rotation(M: Array) -> Array:
-    """Project matrices M (..., 3, 3) onto the nearest rotations."""
-    U, _, Vt = np.linalg.svd(M)
-    U[..., :, 2] *= np.sign(np.linalg.det(U @ Vt))[..., None]
-    return U @ Vt
-
-
 def mean_pose(T: Array) -> Array:
     """Average poses (N, 4, 4) that differ little: mean rotation and median translation (4, 4)."""
     return pose(nearest_rotation(T[:, :3, :3].sum(axis=0)), np.median(T[:, :3, 3], axis=0))
@@ -110,12 +104,25 @@ def known_poses(T: Array) -> np.ndarray:
     return np.asarray(np.isfinite(T).all(axis=(-2, -1)))
 
 
-def check_rigid(name: str, T: Array) -> None:
-    """Raise a VergenceError if a finite one of poses (..., 4, 4) is not a rigid transform."""
+def rigid_poses(name: str, T: Array) -> tuple[Array, tuple[Finding, ...]]:
+    """Take the finite ones of poses (..., 4, 4) to the nearest rigid transforms, with a note on it.
+
+    VergenceError if one of them is farther from any than rounding explains.
+    """
+    known = known_poses(T)
     try:
-        rigid(T[known_poses(T)])
+        found = rigid(T[known])
     except ValueError as error:
         raise VergenceError(f"{name}: {error}.") from None
+    if np.array_equal(found, T[known]):
+        return T, ()
+    sentence = (
+        f"The rotations of {name} are rounded, by up to {np.abs(found - T[known]).max():.1g}; the "
+        "nearest rotations are used."
+    )
+    T = T.copy()
+    T[known] = found
+    return T, (note("rounded-poses", sentence, name),)
 
 
 def checked_points(points: ArrayLike, postures: tuple[int, ...] = ()) -> Array:

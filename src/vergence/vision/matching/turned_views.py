@@ -11,9 +11,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from vergence.arrays import Array
+from vergence.arrays import Array, nearest_rotation
 from vergence.geometry.camera import Camera, project
-from vergence.geometry.se3 import nearest_rotation
 from vergence.vision.exposure import grey_levels
 from vergence.vision.matching.least_squares_matching import WINDOW_PX
 
