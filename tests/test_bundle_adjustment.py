@@ -158,9 +158,10 @@ def test_images_that_show_too_little_of_a_board_or_number_it_otherwise_are_left_
     found = bundle_adjust(start, observed)
     assert_within_stated(found, head)
     assert np.isnan(found.T_base_eye[5]).all()
-    first, second = texts(found.findings)
-    assert first.endswith("enough corners; left out: view 5.")
-    assert second.endswith(f"is wrong; left out: view {view} of left_wide.")
+    assert {each.where for each in found.findings} == {"view 5", f"view {view}"}
+    assert {each.severity for each in found.findings} == {"note"}
+    assert found.left_out["left_wide"][view].all()
+    assert not found.left_out["right_wide"][view].all()
 
 
 def test_a_missing_reading_and_a_name_that_is_no_parameter_are_refused():
@@ -176,8 +177,11 @@ def test_a_reading_that_contradicts_its_image_is_named_with_by_how_much():
     head, observed, start = simulated(31, NOISY)
     observed.eye_angles[20, 2] += np.radians(4)
     found = bundle_adjust(start, observed)
-    (said,) = texts(found.findings)
-    assert re.match(r"View 20: right_pan is off by (3\.9|4(\.[01])?) degrees, and lost its", said)
+    (said,) = texts(found.findings, "note")
+    assert re.fullmatch(
+        r"View 20 was left out: right_pan is off by (3\.9|4(\.[01])?) degrees.", said
+    )
+    assert found.left_out["right_wide"][20].all()
     assert_within_stated(found, head)
 
 
@@ -187,8 +191,9 @@ def test_a_view_in_which_the_board_moved_is_named():
     for corners in observed.corners.values():
         middle = corners[20].mean(axis=0)
         corners[20] = (corners[20] - middle) @ turned + middle + [5, -8]
-    said, *_ = texts(bundle_adjust(start, observed, noise=NoiseModel(0.1, 1e-3)).findings)
-    assert re.search(r"lost their weight, \d+ of them in view 20: the board may have", said)
+    found = bundle_adjust(start, observed, noise=NoiseModel(0.1, 1e-3))
+    (said,) = texts(found.findings, "note")
+    assert re.match(r"View 20 was left out: .* and right_narrow cannot show the board as", said)
 
 
 def test_noise_that_is_given_may_be_far_below_the_errors_of_the_start():

@@ -13,7 +13,7 @@ from vergence.calibration.calibrate import calibrate
 from vergence.calibration.intrinsics import calibrate_intrinsics
 from vergence.calibration.lens_choice import choose_lenses
 from vergence.calibration.observations import Observations
-from vergence.calibration.outliers import without_outliers, without_strays
+from vergence.calibration.outliers import without_strays
 from vergence.geometry.camera import pinhole
 
 SHARE = 0.02
@@ -56,20 +56,6 @@ def test_stray_corners_are_left_out_before_they_spoil_the_lens():
     assert {each.model for each in choose_lenses(found).values()} == {"radial-tangential"}
     lenses = calibrate_intrinsics(found)
     assert all(each.rms_px < 1 for each in lenses.values())
-
-
-def test_single_outliers_of_an_estimate_are_left_out_and_wrong_images_stay():
-    seen = recorded()
-    off = {name: np.where(np.isfinite(c), 0.1, np.nan) for name, c in seen.corners.items()}
-    whole = np.flatnonzero(np.isfinite(off["left_wide"][..., 0]).all(axis=1))
-    off["left_wide"][whole[0], 3] = 3.0
-    off["left_wide"][whole[1]] = 3.0
-    off["left_wide"][whole[2]] = np.nan
-    found = without_outliers(seen, off, dict.fromkeys(off, 0.1)).corners["left_wide"]
-    expected = seen.corners["left_wide"].copy()
-    expected[whole[0], 3] = np.nan
-    expected[whole[2]] = np.nan
-    np.testing.assert_array_equal(found, expected)
 
 
 @pytest.mark.usefixtures("two_folds")

@@ -97,6 +97,9 @@ class BundleEstimate:
     residuals_px: Mapping[str, Array]
     """By camera that sees boards: (V, K, 2) projected minus seen, or (V, 6) of measured poses;
     NaN where not seen."""
+    left_out: Mapping[str, np.ndarray]
+    """By camera: (V, K) of bool, the corners that contradict the estimate and must not take part in
+    later figures, or (V, 6) for measured poses."""
     findings: tuple[Finding, ...]
     """What the data cannot determine, and why; the most severe first."""
     levels: Levels
@@ -246,6 +249,7 @@ def _estimate(
         board_scale=x["board_scale"],
         T_base_eye=T_base_eye,
         residuals_px=_residuals(problem, found, len(T_base_eye)),
+        left_out=findings.left_out(),
         findings=findings.all(),
         levels=found.levels,
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -11,10 +12,10 @@ from vergence.arrays import Array
 from vergence.calibration.bundle_start import BundleProblem, PoseObservations
 from vergence.calibration.observations import Observations, most_seen
 from vergence.calibration.residuals import Readings, Reprojection
-from vergence.errors import counted, listed
+from vergence.errors import listed
 from vergence.estimation.adjustment import Adjustment
 from vergence.estimation.noise import Level
-from vergence.findings import Finding, by_severity, void, warning
+from vergence.findings import Finding, by_severity, note, void, warning
 from vergence.geometry.head import parameter_names
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.lens import COEFFICIENTS
@@ -29,11 +30,15 @@ than noise makes in any recording."""
 LEAST_APART_S = 0.001
 """Least such time that is worth a warning: 0.06 degrees at a rad/s."""
 LOST = 0.02
-"""Share of corners without weight that is reported; good ones lose it once in 3000."""
+"""Share of corners without weight that is noted; good ones lose it once in 3000."""
 NOISY, NOISY_RAD = 5.0, np.radians(0.2)
 """Ratio of the noise of readings to that of all others, and noise, from which they are doubted."""
+WRONG_VIEW = "wrong-view"
+"""Code of the findings on views that were left out."""
+MOST_WRONG = 0.15
+"""Share of views, or of corners, that may be wrong beside a good rest."""
 MOST_NAMED = 3
-"""Most readings that lost their weight and are named one by one; the rest are counted."""
+"""Number of wrong views that are described one by one."""
 NAMED = 0.3
 """A direction's components of this size, relative to the largest, are named."""
 ADVISED = "by at least 0.1 rad, better 0.25"
@@ -51,6 +56,20 @@ _WORDS |= {f"t{axis}": f"translation along {axis}" for axis in "xyz"}
 
 
 @dataclass(frozen=True, eq=False)
+class Outliers:
+    """What contradicts an estimate."""
+
+    corners: np.ndarray
+    """(M, K) of bool: single corners of detections."""
+    images: np.ndarray
+    """(C, V) of bool: images with most of their corners."""
+    readings: np.ndarray
+    """(B, n) of bool: readings of postures."""
+    few: bool
+    """Whether the views concerned are so few that they leave all later figures."""
+
+
+@dataclass(frozen=True, eq=False)
 class BundleFindings:
     """A bundle adjustment, as findings look at it."""
 
@@ -60,16 +79,30 @@ class BundleFindings:
     levels: Sequence[Level]
     systematic_px: Mapping[str, float]
 
+    def left_out(self) -> dict[str, np.ndarray]:
+        """Select by camera the corners (V, K) that must not take part in later figures."""
+        outliers, detections = self.outliers, self.problem.measured.detections
+        V, K = outliers.images.shape[1], outliers.corners.shape[1]
+        masks = {name: np.zeros((V, K), bool) for name in detections.cameras}
+        wrong = outliers.images.copy()
+        of_reading = outliers.readings.any(axis=1)[detections.posture]
+        wrong[detections.camera[of_reading], detections.views[of_reading]] = True
+        for c, mask in enumerate(masks.values()):
+            mine = detections.of_camera(c)
+            mask[detections.views[mine]] = outliers.corners[mine]
+            mask[wrong[c] & outliers.few] = True
+        return masks
+
     def all(self) -> tuple[Finding, ...]:
         """List everything that the reader of a result must know, the most severe first."""
         parts = (
             _doubtful(self),
+            _wrong(self),
             _left_out(self),
             _unobservable(self),
             _noise(self),
             _noisy_readings(self),
             _lost_corners(self),
-            _lost_readings(self),
             _apart_in_time(self),
             _systematic(self),
         )
@@ -79,6 +112,19 @@ class BundleFindings:
     def eyes(self) -> np.ndarray:
         """(M,) the eye of each detection."""
         return self.problem.measured.detections.eyes
+
+    @cached_property
+    def outliers(self) -> Outliers:
+        """Collect what contradicts the estimate."""
+        measured, weights = self.problem.measured, self.found.linear.weights
+        detections = measured.detections
+        corners, readings = measured.seen & (weights[0] < 1), weights[1] < 1
+        images = self.problem.contradicting.copy()
+        lost = corners.sum(axis=1) > measured.seen.sum(axis=1) / 2
+        images[detections.camera[lost], detections.views[lost]] = True
+        views = images.any(axis=0)
+        views[self.problem.readings.postures.view[readings.any(axis=1)]] = True
+        return Outliers(corners & ~lost[:, None], images, readings, views.mean() <= MOST_WRONG)
 
     @property
     def readings(self) -> Readings:
@@ -171,27 +217,20 @@ def _about_one_axis(of: BundleFindings) -> Iterator[Finding]:
 
 
 def _left_out(of: BundleFindings) -> Iterator[Finding]:
-    """Name cameras without boards, and views that are of no use or contradict the others."""
+    """Name cameras without boards, and views that are of no use."""
     detections, seen = of.problem.measured.detections, of.observations
     images = seen.T_cam_target if isinstance(seen, PoseObservations) else seen.corners
     for c, name in enumerate(detections.cameras):
         if c not in detections.camera:
             yield warning("blind-camera", f"{name} sees no board, and keeps its start.", name)
     shown = np.any([np.isfinite(each).any(axis=(1, 2)) for each in images.values()], axis=0)
-    lost = np.setdiff1d(np.flatnonzero(shown), detections.views)
-    if len(lost):
-        where = ", ".join(map(seen.name_of_view, lost))
+    lost = shown & ~of.problem.contradicting.any(axis=0)
+    lost[detections.views] = False
+    if lost.any():
+        where = ", ".join(map(seen.name_of_view, np.flatnonzero(lost)))
         sentence = f"No image of these boards shows enough corners; left out: {where}."
-        yield warning("few-corners", sentence, where)
-    for c, name in enumerate(detections.cameras):
-        lost = detections.views[of.problem.contradicting & (detections.camera == c)]
-        if len(lost):
-            where = f"{', '.join(map(seen.name_of_view, np.sort(lost)))} of {name}"
-            sentence = (
-                "These show the board turned against its other views, as when it is numbered from "
-                f"the wrong end, or one of few corners is wrong; left out: {where}."
-            )
-            yield warning("turned-views", sentence, where)
+        severity = note if lost.mean() <= MOST_WRONG else warning
+        yield severity("few-corners", sentence, where)
 
 
 def _unobservable(of: BundleFindings) -> Iterator[Finding]:
@@ -296,52 +335,60 @@ def _noisy_readings(of: BundleFindings) -> Iterator[Finding]:
         yield warning("noisy-readings", sentence, names)
 
 
+def _wrong(of: BundleFindings) -> Iterator[Finding]:
+    """Name the views whose images contradict others or whose readings lost their weight."""
+    wrong, names = of.outliers, of.found.x["head"].kinematics.readings
+    postures = of.readings.postures
+    messages: dict[int, list[str]] = {}
+    cameras = of.problem.measured.detections.cameras
+    for b in np.flatnonzero(wrong.readings.any(axis=1)):
+        off = np.where(wrong.readings[b], of.found.errors[1][b], 0.0)
+        if of.poses_read:
+            turn, shift = np.linalg.norm(off[:3]), np.linalg.norm(off[3:])
+            message = (
+                f"the pose of the {EYES[postures.eye[b]]} eye is off by {np.degrees(turn):.2g} "
+                f"degrees and {1e3 * shift:.2g} mm"
+            )
+        else:
+            message = listed([
+                f"{names[postures.columns[b, k]]} is off by {np.degrees(abs(off[k])):.2g} degrees"
+                for k in np.flatnonzero(off)
+            ])  # fmt: skip
+        messages.setdefault(int(postures.view[b]), []).append(message)
+    for view in np.flatnonzero(wrong.images.any(axis=0)).tolist():
+        shown = listed([cameras[c] for c in np.flatnonzero(wrong.images[:, view])])
+        how = "by its pose" if of.poses_read else "wherever the eyes look"
+        messages[view] = [
+            f"{how}, {shown} cannot show the board as the other views place it; look for an image "
+            "or a pose of another moment or camera, and for a board that moved or is numbered from "
+            "the wrong end"
+        ]
+    severity = note if wrong.few else warning
+    for view in sorted(messages)[:MOST_NAMED]:
+        where = of.observations.name_of_view(view)
+        sentence = f"{where.capitalize()} was left out: {', '.join(messages[view])}."
+        yield severity(WRONG_VIEW, sentence, where)
+    if len(messages) > MOST_NAMED:
+        where = ", ".join(map(of.observations.name_of_view, sorted(messages)[MOST_NAMED:]))
+        yield severity(WRONG_VIEW, f"As wrong were left out: {where}.", where)
+
+
 def _lost_corners(of: BundleFindings) -> Iterator[Finding]:
-    """Report corners that lost their weight, and the view with the most of them."""
+    """Report corners of other views that lost their weight, and the view with the most of them."""
     measured = of.problem.measured
-    lost = (measured.seen & (of.found.linear.weights[0] < 1)).sum(axis=1)
-    views = measured.detections.views
-    by_view, seen = np.bincount(views, lost), np.bincount(views, measured.seen.sum(axis=1))
-    worst = int(by_view.argmax())
-    where = of.observations.name_of_view(worst)
-    if lost.sum() <= LOST * seen.sum() and by_view[worst] <= seen[worst] / 2:
+    lost, views = of.outliers.corners.sum(axis=1), measured.detections.views
+    by_view, seen = np.bincount(views, lost), measured.seen.sum()
+    where = of.observations.name_of_view(int(by_view.argmax()))
+    if lost.sum() <= LOST * seen:
         return
     what = "corners" if isinstance(measured, Reprojection) else "numbers of measured poses"
     sentence = (
-        f"{lost.sum()} of {int(seen.sum())} {what} lie beyond 4 standard deviations and lost their "
-        f"weight, {by_view[worst]:.0f} of them in {where}: the board may have moved, or the "
-        "image may be blurred."
+        f"{lost.sum()} of {seen} {what} lie beyond 4 standard deviations and lost their weight, "
+        f"{by_view.max():.0f} of them in {where}: the board may have moved, or the image may be "
+        "blurred."
     )
-    yield warning("outlying-corners", sentence, where)
-
-
-def _lost_readings(of: BundleFindings) -> Iterator[Finding]:
-    """Name readings that lost their weight, the worst ones first."""
-    readings = of.readings
-    off = np.where(of.found.linear.weights[1] < 1, of.found.errors[1], 0.0)
-    size = np.abs(off) / [of.found.levels[name] for name in readings.level]
-    rows = np.argsort(-size.max(axis=1, initial=0), kind="stable")
-    rows = rows[size[rows].max(axis=1, initial=0) > 0].tolist()
-    names, postures = of.found.x["head"].kinematics.readings, readings.postures
-    for b in rows[:MOST_NAMED]:
-        if of.poses_read:
-            turn, shift = np.linalg.norm(off[b, :3]), np.linalg.norm(off[b, 3:])
-            what = (
-                f"the pose of an eye is off by {np.degrees(turn):.2g} degrees and "
-                f"{1e3 * shift:.2g} mm"
-            )
-        else:
-            what = listed([
-                f"{names[postures.columns[b, k]]} is off by {np.degrees(abs(off[b, k])):.2g} "
-                "degrees"
-                for k in np.flatnonzero(off[b])
-            ])  # fmt: skip
-        where = of.observations.name_of_view(int(postures.view[b]))
-        sentence = f"{where.capitalize()}: {what}, and lost its weight."
-        yield warning("outlying-reading", sentence, where)
-    if len(rows) > MOST_NAMED:
-        rest = f"Readings of {counted(len(rows) - MOST_NAMED, 'more posture')} lost their weight."
-        yield warning("outlying-reading", rest)
+    severity = note if lost.sum() <= MOST_WRONG * seen else warning
+    yield severity("outlying-corners", sentence, where)
 
 
 def _apart_in_time(of: BundleFindings) -> Iterator[Finding]:

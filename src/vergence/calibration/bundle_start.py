@@ -42,7 +42,7 @@ from vergence.estimation.variables import Latent, Variables
 from vergence.geometry.board import corner_points
 from vergence.geometry.head import HeadCalibration, parameter_names
 from vergence.geometry.kinematics import EYES, GEARED, Kinematics, joint_names, reading_kinds
-from vergence.geometry.se3 import angle, inverse, known_poses
+from vergence.geometry.se3 import inverse, known_poses
 from vergence.vision.board_pose import LEAST_CORNERS, board_poses, determines_pose, seen_corners
 
 CANDIDATES = 12
@@ -53,9 +53,9 @@ votes on a board's place; far beyond the errors of a good start."""
 MEASURING_M = 0.02
 """Standard deviation of an eye's place from which measured poses, good to a fraction of a
 millimetre, determine lengths better than a printed board does."""
-TURNED_RAD = 0.5
-"""Turn of a board against the other views of its placement from which a view is left out; the start
-is better than that, and a board numbered from the wrong end is turned by pi."""
+CONTRADICTS, ALIKE_M, ALIKE_PX = 10.0, 1e-3, 1.0
+"""Multiple of the median distance, of boards and of corners, from which a view contradicts others,
+and distances that contradict nothing: those of single images, and of starts that are good."""
 LEAST_SEEN = 0.5
 """Share of the rows of a motion in which an eye must see the board, among its neighbours in time,
 so that these determine the trajectory. An assumption: 2 and 5 of 30 rows are too few."""
@@ -92,7 +92,7 @@ class BundleProblem:
     placements: np.ndarray
     """(P,) the numbers of the boards' placements."""
     contradicting: np.ndarray
-    """(M,) of bool: detections that show the board turned against the other views."""
+    """(C, V) of bool: images left out, since no turn of the eye puts the board where others do."""
 
     @property
     def residuals(self) -> tuple[Residual, ...]:
@@ -108,29 +108,31 @@ def bundle_problem(
     points: Array | None = None,
     T_cam_target: Mapping[str, Array] | None = None,
     least_blocks: float = np.inf,
+    left_out: np.ndarray | None = None,
 ) -> BundleProblem:
     """Set up the bundle adjustment of a head.
 
     The best board pose of each placement is its start; parameters of cameras that see no board keep
-    theirs. `least_blocks` is that of reading_levels; other arguments and errors are those of
-    `bundle_adjust`.
+    theirs. `least_blocks` is that of reading_levels; images (C, V) that contradict others are
+    `left_out`, None: not known yet. Other arguments and errors are those of `bundle_adjust`.
     """
     cameras, V, corners = start.cameras, len(observations.placement), np.zeros(0)
     if isinstance(observations, PoseObservations):
         T = _stacked(observations.T_cam_target, cameras, (V, 4, 4))
-        placed = known_poses(T)
-        seen = np.repeat(placed[..., None], 6, axis=2)
+        seen = np.repeat(known_poses(T)[..., None], 6, axis=2)
     else:
         points = corner_points(observations.board) if points is None else points
         corners = _stacked(observations.corners, cameras, (V, len(points), 2))
         seen, solved = seen_corners(corners), T_cam_target or {}
-        placed = determines_pose(points, seen)
         T = np.stack([
             solved[name] if name in solved else board_poses(each.intrinsics, corners[c], points)
             for c, (name, each) in enumerate(cameras.items())
         ])  # fmt: skip
     if not seen.any():
         raise VergenceError(f"None of {', '.join(cameras)} sees a board.")
+    if left_out is not None:
+        seen = seen & ~left_out[..., None]
+    placed = seen.any(axis=2) if points is None else determines_pose(points, seen)
     # A placement without one view that determines the board's pose is of no use.
     numbers = np.unique(observations.placement[placed.any(axis=0)])
     image = np.nonzero(seen.any(axis=2) & np.isin(observations.placement, numbers))
@@ -177,10 +179,22 @@ def bundle_problem(
         },
         Latent(postures.reading, postures.reading.shape[1]),
     )
-    measured, x, turned = _place_boards(measured, x, T[image])
+    x, wrong = _place_boards(measured, x, T[image])
+    contradicting = np.zeros((len(cameras), V), bool) if left_out is None else left_out
+    if wrong.any():
+        contradicting[camera[wrong], view[wrong]] = True
+        return bundle_problem(
+            start,
+            observations,
+            fixed=fixed,
+            points=points,
+            T_cam_target=T_cam_target,
+            least_blocks=least_blocks,
+            left_out=contradicting,
+        )
     level = reading_levels(detections, start.kinematics, least_blocks)
     readings = _readings(observations, postures, level)
-    return BundleProblem(measured, readings, tuple(priors), x, numbers, turned)
+    return BundleProblem(measured, readings, tuple(priors), x, numbers, contradicting)
 
 
 def _stacked(
@@ -340,10 +354,12 @@ def _measures_lengths(T_base_eye: Array | None) -> bool:
 
 def _place_boards(
     measured: Reprojection | TargetPoses, x: Variables, T_cam_target: Array
-) -> tuple[Reprojection | TargetPoses, Variables, np.ndarray]:
-    """Start each board where its best view puts it.
+) -> tuple[Variables, np.ndarray]:
+    """Start each board where its best view puts it, and find (M,) the views that contradict this.
 
-    Views that put it elsewhere lose their corners: also return (M,) which these are.
+    A wrong reading turns the eye, which the adjustment finds out. What no turn of the eye explains
+    is a wrong image, as one of another moment, turned, or numbered from the wrong end. Where it is
+    not the smaller part of the views of a placement, all of them are wrong.
     """
     detections, head, P = measured.detections, x["head"], len(x["boards"])
     mounts = np.stack([mounted.T_eye_cam for mounted in head.cameras.values()])
@@ -358,28 +374,38 @@ def _place_boards(
             f"A board whose place is to be found needs {LEAST_CORNERS} corners in one image, not "
             "all on one line."
         )
-    best, lowest = x["boards"], np.full(P, np.inf)
+    best, lowest, chosen = x["boards"], np.full(P, np.inf), np.zeros(P, np.intp)
     for k in range(CANDIDATES):
         # Spread over the views, so that one bad stretch cannot be all there is to choose from.
-        offered = found[[offer[k * len(offer) // CANDIDATES] for offer in offers]]
-        errors = measured.error(_with_boards(x, offered))
+        offer = np.array([offer[k * len(offer) // CANDIDATES] for offer in offers])
+        errors = measured.error(_with_boards(x, found[offer]))
         lengths = np.linalg.norm(errors.reshape(len(errors), -1, measured.together), axis=-1)
         votes = np.minimum(np.nan_to_num(lengths, nan=np.inf), FAR).sum(axis=1)
         total = np.bincount(detections.board, votes, P)
         better = total < lowest
-        best = np.where(better[:, None, None], offered, best)
-        lowest = np.minimum(lowest, total)
+        best = np.where(better[:, None, None], found[offer], best)
+        chosen, lowest = np.where(better, offer, chosen), np.minimum(lowest, total)
     x = _with_boards(x, best)
-    turn = np.swapaxes(best[detections.board][:, :3, :3], 1, 2) @ found[:, :3, :3]
-    kept = np.ones(len(known), bool)
-    kept[known] = angle(turn[known]) < TURNED_RAD
+    # How far from the centre of the eye's motion, or of a measured eye, the other pose puts it.
+    T_moved = T_base_lbase @ found @ inverse(T_base_lbase @ best[detections.board])
+    if detections.postures.T_base_eye_read is not None:
+        T_base_eye = detections.eye_poses(x)
+        T_moved = inverse(T_base_eye) @ T_moved @ T_base_eye
+    moved_m = np.linalg.norm(T_moved[:, :3, 3], axis=1)
+    errors = measured.error(x)
     # The pose by a few corners may put the others behind the camera.
-    kept &= np.isfinite(measured.error(x)).all(axis=1)
-    seen = measured.seen & kept[:, None]
-    if isinstance(measured, Reprojection):
-        pixels = np.where(seen[..., None], measured.pixels, 0.0)
-        return replace(measured, seen=seen, pixels=pixels), x, ~kept
-    return replace(measured, seen=seen), x, ~kept
+    wrong = ~np.isfinite(errors).all(axis=1)
+    others = np.setdiff1d(np.flatnonzero(known & ~wrong), chosen)
+    if len(others):
+        far = moved_m > max(CONTRADICTS * np.median(moved_m[others]), ALIKE_M)
+        if isinstance(measured, Reprojection):
+            sizes = np.linalg.norm(errors.reshape(*measured.seen.shape, 2), axis=-1)
+            off_px = np.nanmedian(np.where(measured.seen, sizes, np.nan), axis=1)
+            far &= off_px > max(CONTRADICTS * np.median(off_px[others]), ALIKE_PX)
+        wrong |= far
+    counts = [np.bincount(detections.board, each, P) for each in (wrong, ~wrong)]
+    outvoted = (counts[0] > 0) & (counts[0] >= counts[1])
+    return x, wrong | outvoted[detections.board]
 
 
 def _with_boards(x: Variables, T: Array) -> Variables:

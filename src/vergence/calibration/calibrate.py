@@ -12,6 +12,7 @@ import numpy as np
 from vergence.arrays import single_blas_thread
 from vergence.calibration import excitation, plausibility
 from vergence.calibration.bundle_adjustment import BundleEstimate, bundle_adjust
+from vergence.calibration.bundle_findings import WRONG_VIEW
 from vergence.calibration.cross_validation import (
     bundle_of_part,
     cross_validate,
@@ -22,12 +23,11 @@ from vergence.calibration.detection import detect_target
 from vergence.calibration.initial import SequentialCalibration, calibrate_sequentially
 from vergence.calibration.lens_choice import LensChoice, LensOption
 from vergence.calibration.observations import Observations
-from vergence.calibration.outliers import without_outliers
 from vergence.calibration.prepared_views import Method, PreparedViews, prepare
 from vergence.calibration.summary import summary_lines
 from vergence.data.dataset import Dataset
 from vergence.errors import VergenceError
-from vergence.findings import Finding, by_severity
+from vergence.findings import Finding, by_severity, select
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.head_accuracy import Accuracy
 from vergence.progress import Progress, silent
@@ -94,19 +94,18 @@ def calibrate(
     start = calibrate_sequentially(at_rest[0], intrinsics=views.intrinsics, T_cam_target=at_rest[1])
     progress("calibrating", 1, 3)
     estimate, findings = None, list(observations.findings)
-    of_part, to_predict = partial(paper_of_part, views), observations
+    of_part = partial(paper_of_part, views)
     if method == "bundle":
         estimate = bundle_adjust(start.head, observations, T_cam_target=views.T_cam_target)
+        findings = [*select(estimate.findings, "note", "warning", code=WRONG_VIEW), *findings]
+        views = views.without(estimate.left_out)
         estimate, preferred = predicting_better(start.head, views, estimate)
         findings += preferred
         of_part = partial(bundle_of_part, estimate, views)
-        if estimate.camera_std_px:  # the estimate did not follow the outliers either
-            levels = estimate.residuals_px, estimate.camera_std_px
-            to_predict = without_outliers(observations, *levels)
     progress("calibrating", 2, 3)
     found = start if estimate is None else estimate
     head = replace(found.head, accuracy=found.accuracy)
-    held_out, validated = cross_validate(to_predict, head, of_part)
+    held_out, validated = cross_validate(views.observations, head, of_part)
     progress("calibrating", 3, 3)
     findings += [*_about(views, head), *found.accuracy.findings, *validated]
     accuracy = replace(

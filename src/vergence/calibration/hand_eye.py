@@ -10,11 +10,15 @@ import numpy as np
 
 from vergence.arrays import Array, nearest_rotation
 from vergence.errors import VergenceError
-from vergence.geometry.se3 import inverse, pose, rotvec
+from vergence.geometry.se3 import (
+    agreeing_poses,
+    angle,
+    inverse,
+    mean_pose,
+    pose,
+    rotvec,
+)
 
-AGREE_RAD = 0.1
-"""Views agree if they put the board within this angle of each other: far beyond any joint noise,
-and far below what one wrong view does to the closed form."""
 DRAWS, SAMPLE = 100, 4
 """Random draws, and the views of each; with a third of the views wrong, one draw in five has good
 ones only."""
@@ -70,33 +74,26 @@ def park_martin(T_base_eye: Array, T_cam_target: Array) -> Array:
 
 
 def robust_park_martin(T_base_eye: Array, T_cam_target: Array) -> Array:
-    """Run park_martin on the largest set of views that agree where the board stands."""
+    """Run park_martin on the views that agree where the board stands: least median of squares."""
     best = park_martin(T_base_eye, T_cam_target)
-    agreeing = _agreeing(best, T_base_eye, T_cam_target)
-    if agreeing.all():
+    if agreeing_poses(T_base_eye @ best @ T_cam_target).all():
         return best
-    rng = np.random.default_rng(0)
+    rng, least = np.random.default_rng(0), median_turn(T_base_eye @ best @ T_cam_target)
     for _ in range(DRAWS):
         drawn = rng.choice(len(T_base_eye), min(SAMPLE, len(T_base_eye)), replace=False)
         try:
             trial = park_martin(T_base_eye[drawn], T_cam_target[drawn])
         except VergenceError:
             continue
-        found = _agreeing(trial, T_base_eye, T_cam_target)
-        if found.sum() > agreeing.sum():
-            best, agreeing = trial, found
-    if agreeing.sum() >= SAMPLE:
-        best = park_martin(T_base_eye[agreeing], T_cam_target[agreeing])
-    return best
+        if (turn := median_turn(T_base_eye @ trial @ T_cam_target)) < least:
+            best, least = trial, turn
+    agreeing = agreeing_poses(T_base_eye @ best @ T_cam_target)
+    try:
+        return park_martin(T_base_eye[agreeing], T_cam_target[agreeing])
+    except VergenceError:
+        return best
 
 
-def _agreeing(T_eye_cam: Array, T_base_eye: Array, T_cam_target: Array) -> np.ndarray:
-    """Find which views (N,) belong to the largest set that agrees on the board's rotation."""
-    return agreeing_rotations((T_base_eye @ T_eye_cam @ T_cam_target)[:, :3, :3])
-
-
-def agreeing_rotations(R: Array) -> np.ndarray:
-    """Find which rotations (N, 3, 3) are within AGREE_RAD of the one with most others."""
-    traces = np.einsum("iab,jab->ij", R, R)
-    close = traces > 1 + 2 * np.cos(AGREE_RAD)
-    return close[close.sum(axis=1).argmax()]
+def median_turn(T: Array) -> float:
+    """Compute the median angle [rad] between poses (N, 4, 4) and the mean of the agreeing."""
+    return float(np.median(angle((inverse(mean_pose(T)) @ T)[:, :3, :3])))

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.hand_eye import agreeing_rotations, robust_park_martin
+from vergence.calibration.hand_eye import robust_park_martin
 from vergence.calibration.intrinsics import Intrinsics, calibrate_intrinsics
 from vergence.calibration.lenses import LensModel
 from vergence.calibration.observations import (
@@ -35,7 +35,14 @@ from vergence.geometry.head import HeadCalibration, MountedCamera, main_camera, 
 from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.kinematics import EYES, Side
 from vergence.geometry.neck import Neck
-from vergence.geometry.se3 import angle, boxplus, inverse, known_poses, mean_pose
+from vergence.geometry.se3 import (
+    agreeing_poses,
+    angle,
+    boxplus,
+    inverse,
+    known_poses,
+    mean_pose,
+)
 from vergence.stereo.extrinsics import base_extrinsics
 from vergence.vision.board_pose import (
     LEAST_CORNERS,
@@ -251,8 +258,9 @@ def calibrate_pair(
             f"{LEAST_CORNERS} corners of the board, not all on one line and not far from the "
             "images' middles; found none."
         )
-    # A few corners in one part of the image may put a board where it is not.
-    known = known[agreeing_rotations(between[known, :3, :3])]
+    # A few corners in one part of the image may put a board where it is not, and images may be of
+    # different moments.
+    known = known[agreeing_poses(between[known])]
     start = Block(mean_pose(between[known]), np.array(POSE_SCALE), boxplus)
     views = (
         BoardViews(corners=corners_a[known], points=points, camera=a),

@@ -7,7 +7,6 @@ found before a lens is known, whose fit by least squares they would spoil.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -21,9 +20,6 @@ LEAST, TYPICAL, CLEAR = 0.35, 6.0, 3.0
 """Minimum distance of a stray corner from where its neighbours put it: in sides of a square (lenses
 with k3 make nearly as much at the edge of an image), in units of the median of the image, and of
 the disagreement of the neighbours."""
-OUTLIER_STDS, MOST_OUTLIERS = 6.0, 0.15
-"""Standard deviations from which a corner is an outlier (noise makes one of 70 million), and the
-largest share of outliers in an image; of a wrong image or reading most corners are."""
 
 
 def without_strays(observations: Observations) -> Observations:
@@ -41,25 +37,6 @@ def without_strays(observations: Observations) -> Observations:
     where = "; ".join(said)
     found = note("stray-corners", f"Corners not where their neighbours say, and left out: {where}.")
     return replace(observations, corners=corners, findings=(*observations.findings, found))
-
-
-def without_outliers(
-    observations: Observations, residuals_px: Mapping[str, Array], std_px: Mapping[str, float]
-) -> Observations:
-    """Leave out single corners that an estimate contradicts or has left out.
-
-    Where many of an image are off, the image or its readings are wrong, and all stay. By camera,
-    residuals_px (V, K, 2) are NaN where not seen, and std_px is the noise of one coordinate.
-    """
-    corners = dict(observations.corners)
-    for name in corners.keys() & residuals_px.keys() & std_px.keys():
-        off = np.linalg.norm(residuals_px[name], axis=-1)
-        outliers = off > OUTLIER_STDS * std_px[name]
-        seen = np.isfinite(off).sum(axis=1, keepdims=True)
-        single = outliers & (outliers.sum(axis=1, keepdims=True) <= MOST_OUTLIERS * seen)
-        gone = single | ~np.isfinite(off)
-        corners[name] = np.where(gone[..., None], np.nan, corners[name])
-    return replace(observations, corners=corners)
 
 
 def strays(grid: Array) -> np.ndarray:

@@ -64,9 +64,8 @@ UNIT_WITHIN = 0.1
 """Relative tolerance with which a length is recognised as a unit."""
 FARTHEST_M = 10.0
 """Distance of an eye from its base beyond which poses are not in metres."""
-OUTLIER, OUTLIER_RAD, MOST_OUTLIERS = 6.0, np.radians(1.0), 0.25
-"""A pose contradicts the others beyond this multiple of the median misfit and this angle, unless
-more than this share of them do."""
+TRIMMED = 0.25
+"""Share of the views that a fit leaves out: more than are ever wrong."""
 LEAST_BASELINE_M = 1e-3
 """Minimum distance between the cameras of two eyes."""
 ASIDE = 0.7
@@ -217,7 +216,7 @@ def _trimmed(rows: Array, right: Array, off: Array) -> tuple[Array, np.ndarray]:
     k, m = rows.shape[-1], right.shape[-1]
     x, kept = np.zeros((k, m)), off > np.inf
     for _ in range(10):
-        kept = off <= np.quantile(off, 1 - MOST_OUTLIERS)
+        kept = off <= np.quantile(off, 1 - TRIMMED)
         x = np.linalg.lstsq(rows[kept].reshape(-1, k), right[kept].reshape(-1, m))[0]
         off = np.linalg.norm(right - rows @ x, axis=(1, 2))
     return np.asarray(x, dtype=float), kept
@@ -463,12 +462,11 @@ def _score(fits: list[TurnFit]) -> float:
 
 def check_readings_and_images(
     observations: Observations, T_cam_target: Mapping[str, Array]
-) -> tuple[Observations, list[Finding]]:
+) -> list[Finding]:
     """Refuse readings or measured poses that the images contradict, and say what they seem to be.
 
     T_cam_target has by camera the poses (V, 4, 4) of the board, NaN where not known. Moving rows
-    are not compared, since a time offset looks like another row. Returns the observations without
-    the corners of single views whose measured pose contradicts the others, and findings on them.
+    are not compared, since a time offset looks like another row. Returns what is to be noted.
     """
     evidence = evidence_of(observations, T_cam_target)
     fits = [fit_eye(evidence, views) for views in evidence.eyes]
@@ -494,9 +492,7 @@ def check_readings_and_images(
                 "joints. The largest differences: "
                 f"{_worst(observations, evidence.eyes[k], fits[k])}."
             )
-    if evidence.T_base_eye is None:
-        return observations, _eyes_alike(evidence, fits)
-    return _without_odd_poses(observations, evidence, fits)
+    return _eyes_alike(evidence, fits)
 
 
 def evidence_of(observations: Observations, T_cam_target: Mapping[str, Array]) -> Evidence:
@@ -590,7 +586,7 @@ def _worst(observations: Observations, views: EyeViews, fit: TurnFit) -> str:
 def _eyes_alike(evidence: Evidence, fits: list[TurnFit]) -> list[Finding]:
     """Note eyes that moved so much alike that exchanged readings would not show."""
     order = _other_eyes_readings(evidence.kinematics)
-    if len(evidence.eyes) < 2 or order is None:
+    if len(evidence.eyes) < 2 or order is None or evidence.T_base_eye is not None:
         return []
     other = replace(evidence, readings=evidence.readings[:, order])
     if _score([fit_eye(other, views) for views in other.eyes]) - _score(fits) > np.log(ALIKE):
@@ -600,34 +596,6 @@ def _eyes_alike(evidence: Evidence, fits: list[TurnFit]) -> list[Finding]:
         "let the eyes verge in some of the views."
     )
     return [note("eyes-alike", sentence)]
-
-
-def _without_odd_poses(
-    observations: Observations, evidence: Evidence, fits: list[TurnFit]
-) -> tuple[Observations, list[Finding]]:
-    """Leave out single views whose measured pose contradicts the others, and name them."""
-    assert evidence.T_base_eye is not None
-    corners, findings = dict(observations.corners), []
-    eyes = camera_eyes(observations)
-    for views, fit in zip(evidence.eyes, fits, strict=True):
-        odd = fit.by_view > max(OUTLIER * fit.misfit_rad, OUTLIER_RAD)
-        if odd.mean() > MOST_OUTLIERS:
-            continue
-        for k in np.flatnonzero(odd):
-            row = int(views.rows[k])
-            where = f"{observations.name_of_view(row)}, {EYES[views.e]} eye"
-            sentence = (
-                f"{observations.name_of_view(row).capitalize()}: the pose of the {EYES[views.e]} "
-                f"eye differs by {np.degrees(fit.by_view[k]):.2g} degrees from what "
-                f"{views.camera} shows in the other views, and was left out: is it that of another "
-                "row?"
-            )
-            findings.append(warning("odd-pose", sentence, where))
-            for name in corners:
-                if EYES.index(eyes[name]) == views.e:
-                    corners[name] = corners[name].copy()
-                    corners[name][row] = np.nan
-    return replace(observations, corners=corners), findings
 
 
 def implausible_geometry(head: HeadCalibration) -> list[Finding]:

@@ -58,6 +58,17 @@ class PreparedViews:
         poses = {name: T[rows] for name, T in self.T_cam_target.items()}
         return self.observations.take(rows), poses
 
+    def without(self, corners: Mapping[str, np.ndarray]) -> PreparedViews:
+        """Leave out corners, by camera (V, K) of bool."""
+        seen = self.observations.corners
+        kept = {name: np.where(corners[name][..., None], np.nan, seen[name]) for name in seen}
+        T = {
+            name: np.where(corners[name].all(axis=1)[:, None, None], np.nan, each)
+            for name, each in self.T_cam_target.items()
+        }
+        observations = replace(self.observations, corners=kept)
+        return replace(self, observations=observations, T_cam_target=T)
+
 
 def prepare(
     data: Observations, method: Method, lens: LensOption | Mapping[str, LensOption]
@@ -81,7 +92,7 @@ def prepare(
     }
     numbered = board_numbering.number_alike(data, T_cam_target)
     observations, T_cam_target = numbered.observations, numbered.T_cam_target
-    observations, findings = plausibility.check_readings_and_images(observations, T_cam_target)
+    findings = plausibility.check_readings_and_images(observations, T_cam_target)
     views = PreparedViews(observations, T_cam_target, lenses, intrinsics)
     excitation.check_excitation(*views.at_rest)
     observations, unsettled = board_numbering.without_unclear(observations, numbered)

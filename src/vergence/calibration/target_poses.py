@@ -21,7 +21,7 @@ from vergence.calibration.bundle_adjustment import (
     fixed_by_default,
 )
 from vergence.calibration.bundle_start import PoseObservations
-from vergence.calibration.hand_eye import robust_park_martin
+from vergence.calibration.hand_eye import median_turn, robust_park_martin
 from vergence.calibration.observations import base_by_boards, mean_placed, most_seen
 from vergence.calibration.plausibility import implausible_geometry
 from vergence.calibration.residuals import TARGET_SHIFTS, TARGET_TURNS
@@ -37,7 +37,7 @@ from vergence.geometry.kinematics import (
     eye_pose,
     same_design,
 )
-from vergence.geometry.se3 import angle, inverse, known_poses, mean_pose, rigid_poses
+from vergence.geometry.se3 import known_poses, rigid_poses
 
 LEAST_POSES = 3
 """Fewest poses of a target at rest, from which a camera's place in its eye follows."""
@@ -271,18 +271,13 @@ def _check_not_stuck(
         known = known_poses(T) & known_poses(own)
         if not known.any():
             continue
-        turned, by_eye = (_median_turn(each[known]) for each in (T, own))
+        turned, by_eye = (median_turn(each[known]) for each in (T, own))
         if by_eye > _AT_REST_RAD and turned < _STUCK * by_eye:
             raise VergenceError(
                 f"The poses of the target by {name} turn by {np.degrees(turned):.2g} degrees in "
                 f"the median, its eye by {np.degrees(by_eye):.2g}: is the measurement stuck, or "
                 "does the target move with the eye?"
             )
-
-
-def _median_turn(T: Array) -> float:
-    """Compute the median angle [rad] between poses (N, 4, 4) and their mean."""
-    return float(np.median(angle((inverse(mean_pose(T)) @ T)[:, :3, :3])))
 
 
 def _check_start(

@@ -17,6 +17,9 @@ from vergence.geometry.batches import batch_first, batch_last
 
 POSE = ("rx", "ry", "rz", "tx", "ty", "tz")
 """The names of the increments of a pose: see `boxplus`."""
+ALIKE, AGREE = 1e-3, 5.0
+"""Turn [rad] or shift [m] within which poses always agree, below the noise of boards' poses, and
+multiple of the median one up to which they do: of normal noise one in a million is farther."""
 
 
 def pose(R: ArrayLike | None = None, t: ArrayLike | None = None) -> Array:
@@ -94,8 +97,25 @@ def angle(R: Array) -> Array:
     return Rotation.from_matrix(R).magnitude()
 
 
+def agreeing_poses(T: Array) -> np.ndarray:
+    """Find which of poses (N, 4, 4) agree: those about the one that is nearest to half of them.
+
+    Turns and shifts each count relative to the least distance within which half of the poses lie.
+    """
+    R, t = T[:, :3, :3], T[:, :3, 3]
+    chord = np.sqrt(np.maximum(3 - np.einsum("iab,jab->ij", R, R), 0.0))  # of the angle
+    apart = np.stack([chord, np.linalg.norm(t[:, None] - t, axis=-1)])
+    half = np.median(apart, axis=2).min(axis=1, initial=np.inf)
+    far = (apart / np.maximum(half, ALIKE)[:, None, None]).max(axis=0)
+    return far[np.median(far, axis=1).argmin()] < AGREE
+
+
 def mean_pose(T: Array) -> Array:
-    """Average poses (N, 4, 4) that differ little: mean rotation and median translation (4, 4)."""
+    """Average the agreeing ones of poses (N, 4, 4): mean rotation and median translation (4, 4).
+
+    The rotation is the mean of the matrices, projected onto SO(3).
+    """
+    T = T[agreeing_poses(T)]
     return pose(nearest_rotation(T[:, :3, :3].sum(axis=0)), np.median(T[:, :3, 3], axis=0))
 
 
