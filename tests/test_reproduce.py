@@ -79,7 +79,7 @@ def test_the_profile_paper_names_its_fitted_numbers():
 @pytest.mark.slow
 def test_noise_alone_makes_divergent_motion_no_worse_than_parallel():
     """The paper's ratios are 2.0, 1.55 and 1.53."""
-    depth = np.mean([point_level("noise-only", seed)[0][:, 0] for seed in range(3)], axis=0)
+    depth = np.mean([point_level("noise-only", seed)[0][:, 0] for seed in range(2)], axis=0)
     np.testing.assert_allclose(depth[1::2] / depth[::2], 1, atol=0.10)
 
 
@@ -92,7 +92,7 @@ def run(tmp_path_factory, opengl: None) -> Path:
     images that are needed.
     """
     out, half = tmp_path_factory.mktemp("paper"), PERIOD_S["divergent"] / 2
-    short = {"duration_s": half, "rate_hz": 0.4}
+    short = {"duration_s": half, "rate_hz": 0.25}
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(plan.__kwdefaults__, "views", (4, 3, 8))
         patch.setattr(main_job, "SAMPLES_WITH_IMAGES", 4)
@@ -105,7 +105,7 @@ def statistics(folder: Path) -> dict:
 
 
 def test_rendered_spreads_are_those_of_the_paper(run):
-    """At 38 samples; a spread is then known to 12 %."""
+    """At 24 samples; a spread is then known to 15 %."""
     figures = statistics(run)["figures"]
     assert list(figures) == ["6", "7"]
     for found in figures.values():
@@ -115,7 +115,7 @@ def test_rendered_spreads_are_those_of_the_paper(run):
         error = np.array(found["mean_m"]) - found["object_m"]
         assert abs(error[0]) < 2 * std[0]
         assert np.hypot(*error[1:]) < 0.010
-        assert (found["samples"], found["dropped"]) == (38, 0)
+        assert (found["samples"], found["dropped"]) == (24, 0)
 
 
 def test_recordings_are_valid_and_hold_the_statistics(run):
@@ -145,7 +145,7 @@ def simulated_views(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("simulated_views", "coarse_images")
 @pytest.mark.render
 def test_methods_are_compared_on_the_same_images(tmp_path, monkeypatch):
-    monkeypatch.setattr(simulated_robot, "LOOK_S", 1.0)
+    monkeypatch.setattr(simulated_robot, "LOOK_S", 0.6)
     profile = load_profile("paper")
     settings = ReproductionSettings(tmp_path / "paper", (7,), profile, duration_s=9, rate_hz=1)
     reproduce(settings)
@@ -170,17 +170,13 @@ def test_methods_are_compared_on_the_same_images(tmp_path, monkeypatch):
 
 @pytest.mark.usefixtures("simulated_views")  # processes beside know nothing of coarse images
 @pytest.mark.render
-def test_figures_are_the_same_one_after_another_and_in_processes_of_their_own(
-    tmp_path, monkeypatch
-):
-    monkeypatch.setattr(simulated_robot, "LOOK_S", 0.5)
+def test_figures_are_the_same_one_after_another_and_in_processes_of_their_own(tmp_path):
     turns, beside = (tmp_path / name for name in ("turns", "beside"))
     profile, short = load_profile("paper"), {"duration_s": 1, "rate_hz": 2}
-    settings = ReproductionSettings(turns, (6, 7), profile, seed=1, compare=True, **short)
+    settings = ReproductionSettings(turns, (6, 7), profile, seed=1, **short)
     reproduce(settings)
     reproduce(replace(settings, out=beside), jobs=2)
-    learned = [f"fig{number:02d}-learned.json" for number in (6, 7)]
-    for name in ("statistics.json", "report.md", "figures.png", "calibration-2.8mm.json", *learned):
+    for name in ("statistics.json", "report.md", "figures.png", "calibration-2.8mm.json"):
         assert (turns / name).read_bytes() == (beside / name).read_bytes()
     assert {path.name for path in turns.iterdir()} == {path.name for path in beside.iterdir()}
     assert_valid(beside / "fig07.rrd")

@@ -12,7 +12,6 @@ ROOT = Path(__file__).parents[1]
 SHORT = ("--duration", "1", "--rate", "2", "--profile", "ideal")
 SCENARIOS = {
     ("figure_pair.py", "near"): (SHORT, r"divergent / parallel std of depth: \d"),
-    ("figure_pair.py", "longer-lens"): (SHORT, r"Fig\. 11: std \d+ mm in depth"),
     ("calibration_sequence.py",): (("--lens", "4.0mm"), r"right_narrow: 0\.\d+ degrees"),
     ("own_experiment.py",): ((), r"vergence \+0\.40 rad: error (?!.*-0\.0).*, .*, .* mm"),
 }

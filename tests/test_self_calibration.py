@@ -124,12 +124,12 @@ def test_stated_covariances_are_true_for_heads_drawn_at_random():
     """
     nominal, frames = head_of(1), 12
     of_head, of_point, stds, degrees = 0.0, [], [], 0
-    for seed in range(20):
+    for seed in range(12):
         rng = np.random.default_rng(seed)
         state = begin(nominal)
         before = state.covariance
         truth = drawn_head(state, rng)
-        points = room(500, rng)
+        points = room(300, rng)
         angles, found = np.zeros(4), None
         for angles in postures(frames, rng):
             readings = angles + rng.normal(0, JOINT_STD_RAD, 4)
@@ -146,8 +146,8 @@ def test_stated_covariances_are_true_for_heads_drawn_at_random():
         degrees += len(state.names)
         stds.append(state.reading_std)
         assert (np.diag(state.covariance) <= np.diag(before) * (1 + 1e-9)).all()
-    # Twenty heads leave a tenth: each is linearised where it is still wrong.
-    assert 0.7 < of_head / degrees < 1.25
+    # Twelve heads leave an eighth: each is linearised where it is still wrong.
+    assert 0.65 < of_head / degrees < 1.3
     low, high = chi2.interval(0.999, 3 * len(of_point))
     assert low < sum(of_point) < high
     assert np.degrees(np.mean(stds)) == pytest.approx(0.15, abs=0.02)

@@ -5,7 +5,7 @@ import pytest
 
 import whole_head_monte_carlo as monte_carlo
 
-TRIALS = 4
+TRIALS = 3
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import mujoco
 import numpy as np
@@ -15,17 +14,6 @@ from scipy.spatial.transform import Rotation
 from vergence.arrays import Array
 from vergence.geometry.se3 import pose
 
-Shape = Literal["box", "sphere", "ellipsoid", "cylinder", "capsule", "plane", "mesh"]
-
-_SHAPES: dict[int, Shape] = {
-    mujoco.mjtGeom.mjGEOM_BOX: "box",
-    mujoco.mjtGeom.mjGEOM_SPHERE: "sphere",
-    mujoco.mjtGeom.mjGEOM_ELLIPSOID: "ellipsoid",
-    mujoco.mjtGeom.mjGEOM_CYLINDER: "cylinder",
-    mujoco.mjtGeom.mjGEOM_CAPSULE: "capsule",
-    mujoco.mjtGeom.mjGEOM_PLANE: "plane",
-    mujoco.mjtGeom.mjGEOM_MESH: "mesh",
-}
 _VISUAL_GROUPS = (0, 1, 2)
 """Groups that MuJoCo draws by default; group 3 has the head's collision shapes."""
 _ROOM = 0
@@ -37,7 +25,8 @@ class VisualGeom:
     """One visible shape, fixed to a body."""
 
     body: str
-    shape: Shape
+    shape: str
+    """Of MuJoCo's shapes: box, sphere, ellipsoid, cylinder, capsule, plane or mesh."""
     size: Array
     """(3,) [m] as in MuJoCo: half sizes of a box, an ellipsoid and a plane, radius of a sphere,
     radius and half length along z of a cylinder and a capsule; unused for a mesh."""
@@ -59,10 +48,10 @@ def visual_geoms(model: mujoco.MjModel) -> list[VisualGeom]:
     for k in range(model.ngeom):
         if model.geom_group[k] not in _VISUAL_GROUPS or model.geom_bodyid[k] == _ROOM:
             continue
-        shape = _SHAPES.get(int(model.geom_type[k]))
+        shape = mujoco.mjtGeom(int(model.geom_type[k])).name.removeprefix("mjGEOM_").lower()
         material = int(model.geom_matid[k])
         rgba = model.geom_rgba[k] if material < 0 else model.mat_rgba[material]
-        if shape is None or rgba[3] == 0:
+        if rgba[3] == 0:
             continue
         R = Rotation.from_quat(model.geom_quat[k], scalar_first=True)
         triangles, normals = _mesh(model, k) if shape == "mesh" else (None, None)
