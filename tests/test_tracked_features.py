@@ -41,9 +41,9 @@ from vergence.vision.matching.scene_features import Matches
 def test_features_tracked_by_the_true_geometry_have_no_residual(seed):
     head, rng = head_of(seed), np.random.default_rng(seed)
     then, now = postures(2, rng)
-    for camera, found in motion_of(head, then, now, room(100, rng)):
-        assert len(found.residuals) > 5, camera
-        np.testing.assert_allclose(found.residuals, 0, atol=1e-7)
+    for camera, (residuals, _) in motion_of(head, then, now, room(100, rng)):
+        assert len(residuals) > 5, camera
+        np.testing.assert_allclose(residuals, 0, atol=1e-7)
 
 
 def motion_of(head, then, now, points, change=None, turned=(0.0, 0.0)):
@@ -76,14 +76,18 @@ def test_residuals_of_tracked_features_change_as_their_derivatives_say(seed):
     change, turns = rng.normal(0, 1, len(parameter_names(head))), rng.normal(0, 1, (2, 4))
     step = 1e-6
     ends = [
-        [found.residuals for _, found in motion_of(head, then, now, points, h * change, h * turns)]
+        [
+            residuals
+            for _, (residuals, _) in motion_of(head, then, now, points, h * change, h * turns)
+        ]
         for h in (-step, step)
     ]
     names = parameter_names(head)
-    for (camera, found), low, high in zip(motion_of(head, then, now, points), *ends, strict=True):
+    exact = motion_of(head, then, now, points)
+    for (camera, (_, J)), low, high in zip(exact, *ends, strict=True):
         slope = -(high - low) / (2 * step)  # the derivatives are of what is predicted
         by_unknowns = motion_coordinates(head, names, then, now, camera).by_unknowns
-        expected = found.by_coordinates @ by_unknowns @ [*change, *turns[1], *turns[0]]
+        expected = J[..., :-1] @ by_unknowns @ [*change, *turns[1], *turns[0]]
         np.testing.assert_allclose(slope, expected, rtol=1e-4, atol=2e-3)
 
 
@@ -217,17 +221,19 @@ def test_depths_that_are_all_wrong_alike_do_not_move_the_cameras():
     assert max(np.abs(shifts_m)) < 2e-4
 
 
-def told(state, seen, tracked, inflation=1.0):
+def told(state, seen, tracked):
     """Return what features tell beside the prior, and the change (K,) that they make."""
     C = augmented_covariance(state)
     zero = np.zeros_like(C), np.zeros(len(C))
-    N, b = add_tracked(state, seen, tracked, *zero, inflation=inflation)
+    N, b = add_tracked(state, seen, tracked, zero)
     return np.linalg.norm(N), posterior(N, b, C)[0] / np.sqrt(np.diag(C))
 
 
 def test_features_tell_as_little_as_the_posture_of_their_frame_is_new():
     state, seen, tracked = turned_once()
-    (whole, _), (little, change) = (told(state, seen, tracked, each) for each in (1.0, 1e4))
+    (whole, _), (little, change) = (
+        told(state, replace(seen, novelty=novelty), tracked) for novelty in (1.0, 1e-4)
+    )
     assert whole / little == pytest.approx(1e4, rel=0.1)
     assert np.abs(change).max() < 0.1
 

@@ -129,18 +129,7 @@ class SelfCalibrator:
         cameras: tuple[str, str] | None = None,
         changed: Changed = "little",
     ) -> None:
-        """Start from a calibration.
-
-        Args:
-            head: the calibration, with a camera in each eye.
-            cameras: names of the left and the right camera; None: the main ones.
-            changed: what may have changed since the calibration: "nothing" right after it,
-                "little", or "anything" after a repair, which voids the stated covariance.
-
-        Raises:
-            VergenceError: the head has one eye or no joint readings, or was calibrated with
-                measured eye poses.
-        """
+        """Start from a calibration; arguments and errors are those of `prior.initial_state`."""
         self.geometry = initial_visual_geometry(head, cameras=cameras, changed=changed)
 
     def update(self, frame: Frame, joints: ArrayLike | None = None) -> FrameEstimate:
@@ -163,10 +152,7 @@ class SelfCalibrator:
         pixel_std_px: ArrayLike,
         cameras: tuple[str, str] | None = None,
     ) -> LocatedPoints:
-        """Locate points in the latest frame; arguments are those of `vg.locate`.
-
-        VergenceError if there was no frame.
-        """
+        """Locate points in the latest frame, as `vg.locate`; VergenceError without a frame."""
         if self.geometry.latest is None:
             raise VergenceError("Points are located in the latest frame; update with one first.")
         return locate_in_frame(

@@ -23,7 +23,7 @@ from vergence.self_calibration.residuals import epipolar_residuals, pair_coordin
 from vergence.self_calibration.robust_fit import (
     FEWEST,
     LINEAR_RAD,
-    LinearisedResiduals,
+    Linearised,
     passes_gate,
     robust_fit,
 )
@@ -106,21 +106,15 @@ def estimate_from_matches(
             )
     if evidence.inliers < max(FEWEST, N / 10):  # wrong matches agree by chance
         return replace(prior, weights=weights)
-    posture = state.head.kinematics.gear_ratios * prior.joints
-    prior = replace(
-        prior,
-        weights=weights,
-        evidence=evidence,
-        novelty=state.revisits.novelty(posture),
-    )
+    novelty = state.revisits.novelty(state.head.kinematics.gear_ratios * joints)
+    prior = replace(prior, weights=weights, evidence=evidence, novelty=novelty)
     if not passes_gate(evidence):
         return replace(prior, status="contradiction")
     change, posterior_C = posterior(*_discount_revisits(state, prior, evidence), C)
-    head, joints = _changed(state, prior.joints, change)
     return replace(
         prior,
-        head=head,
-        joints=joints,
+        head=change_named(state.head, state.names, change[:P]),
+        joints=joints + change[P:],
         covariance=posterior_C,
         status="seen" if evidence.degrees > 1.5 else "little seen",  # of the five of a pair
     )
@@ -130,13 +124,13 @@ def _fit(
     state: FilterState, prior: FrameEstimate, C: Array, *, at_head: bool = False
 ) -> tuple[Array, Evidence]:
     """Fit the matches with a prior covariance (K, K); see `robust_fit`."""
-
     P, matches = len(state.names), prior.matches
     limits = np.append(np.full(P, np.inf), LINEAR_RAD / np.abs(state.head.kinematics.gear_ratios))
 
-    def linearise(change: Array, rows: np.ndarray) -> LinearisedResiduals:
+    def linearise(change: Array, rows: np.ndarray) -> Linearised:
         those = Matches(matches.left[rows], matches.right[rows], matches.covariance[rows])
-        return _whiten(state, *_changed(state, prior.joints, change), those)
+        head = change_named(state.head, state.names, change[:P])
+        return _whiten(state, head, prior.joints + change[P:], those)
 
     return robust_fit(
         linearise,
@@ -168,14 +162,9 @@ def _discount_revisits(
     return information, vector
 
 
-def _changed(state: FilterState, joints: Array, change: Array) -> tuple[HeadCalibration, Array]:
-    P = len(state.names)
-    return change_named(state.head, state.names, change[:P]), joints + change[P:]
-
-
 def _whiten(
     state: FilterState, head: HeadCalibration, joints: Array, matches: Matches
-) -> LinearisedResiduals:
+) -> Linearised:
     """Compute epipolar residuals (N,) in their standard deviations, by P + r unknowns."""
     pair = pair_coordinates(head, state.names, joints, state.cameras)
     found = epipolar_residuals(pair.lenses, pair.T_second_first, matches.left, matches.right)
@@ -188,7 +177,7 @@ def _whiten(
     # part of the unit normal in the right image is 0.7 elsewhere.
     good &= (std > 0) & (np.linalg.norm(n, axis=1) > 0.01)
     share = float(np.median(systematic[good] / std[good] ** 2)) if good.any() else 0.0
-    return LinearisedResiduals(
+    return Linearised(
         residuals=np.where(good, found.residuals / std, 1e3),
         by_coordinates=np.where(good[:, None], A / std[:, None], 0.0),
         by_unknowns=pair.by_unknowns,

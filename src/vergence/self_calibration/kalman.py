@@ -68,9 +68,7 @@ def kalman_update(
     information[:K, :K], vector[:K] = evidence.information / inflation, evidence.vector / inflation
     variance, weight = _reading_variance(state, information[:K, :K], vector[:K])
     if tracked is not None:
-        information, vector = add_tracked(
-            state, estimate, tracked, information, vector, inflation=inflation, at=at
-        )
+        information, vector = add_tracked(state, estimate, tracked, (information, vector), at=at)
     change, C = posterior(information, vector, C)
     reference, of_head = state.head, change[:P]
     if at is not None:  # rotations add up exactly along the axes of one head

@@ -25,12 +25,11 @@ from vergence.self_calibration.residuals import (
 from vergence.self_calibration.robust_fit import (
     FEWEST,
     INLIER,
-    LinearisedResiduals,
+    Linearised,
     passes_gate,
     robust_fit,
 )
 from vergence.self_calibration.state import (
-    Evidence,
     FilterState,
     FrameEstimate,
     Keyframe,
@@ -128,21 +127,20 @@ def add_tracked(
     state: FilterState,
     estimate: FrameEstimate,
     tracked: TrackedFeatures,
-    information: Array,
-    vector: Array,
+    equations: tuple[Array, Array],
     *,
-    inflation: float = 1.0,
     at: HeadCalibration | None = None,
 ) -> tuple[Array, Array]:
     """Add tracked features that pass the innovation gate to normal equations (K, K) and (K,).
 
     The unknowns are those of `augmented_covariance`. Features of another keyframe do not count.
-    Residuals are linearised at a head or, without one, at the frame's own. The covariance inflation
-    is that of the frame.
+    Residuals are linearised at a head or, without one, at the frame's own.
     """
+    information, vector = equations
     if state.keyframe is None or not np.array_equal(tracked.readings, state.keyframe.readings):
-        return information, vector
+        return equations
     prior, P = augmented_covariance(state), len(state.names)
+    inflation = state.revisits.inflation(estimate.novelty)
     for k in range(len(state.cameras)):
         if len(tracked.depths_m[k]) < FEWEST:
             continue
@@ -151,88 +149,68 @@ def add_tracked(
             to_head = change_between(at, state.head, state.names)
             joints = start[P:] + C[P:, :P] @ np.linalg.solve(C[:P, :P], to_head - start[:P])
             start = np.concatenate([to_head, joints])
-        fixed = 0 if at is None else P
-        weights, evidence = _fit(state, estimate, tracked, k, (start, C, fixed))
+
+        def linearise(z: Array, rows: np.ndarray, k: int = k, start: Array = start) -> Linearised:
+            now = estimate.readings, start + z[:-1]
+            found = _whiten(state, tracked, k, now, depth_change=float(z[-1]))
+            y, A = found.residuals[rows], found.by_coordinates[rows]
+            return replace(found, residuals=y, by_coordinates=A)
+
+        weights, evidence = robust_fit(
+            linearise,
+            np.asarray(block_diag(C, 1.0), float),
+            pixels=np.tile(tracked.matches[k].left, (2, 1)),
+            size=state.head.camera(state.cameras[k]).intrinsics.size,
+            prior_design_effect=state.design_effect,
+            fixed=0 if at is None else P,
+        )
+        # The relative error of all depths together is as good as unknown: its deviation is one.
+        # Else parallax would determine the scale of the depths from hundredths of a pixel.
+        N, b = evidence.information / _MOTION_INFLATION, evidence.vector / _MOTION_INFLATION
+        gain = N[:-1, -1] / (N[-1, -1] + 1)
+        N, b = N[:-1, :-1] - np.outer(gain, N[-1, :-1]), b[:-1] - gain * b[-1]
         if passes_gate(evidence) and 2 * evidence.inliers > len(weights):
-            added = evidence.information / inflation
-            information = information + added
-            vector = vector + evidence.vector / inflation + added @ start
+            information = information + N / inflation
+            vector = vector + (b + N @ start) / inflation
     return information, vector
-
-
-def _fit(
-    state: FilterState,
-    estimate: FrameEstimate,
-    tracked: TrackedFeatures,
-    k: int,
-    prior: tuple[Array, Array, int],
-) -> tuple[Array, Evidence]:
-    """Fit the features of camera k: weights, and the measurement about the prior's mean.
-
-    The prior has a mean (K,), a covariance (K, K), and the number of leading unknowns that stay at
-    the mean where residuals are linearised.
-    """
-    mean, C, fixed = prior
-    K = len(C)
-
-    def linearise(z: Array, rows: np.ndarray) -> LinearisedResiduals:
-        found = _whiten(state, estimate, tracked, k, mean + z[:K], float(z[K]))
-        y, A = found.residuals[rows], found.by_coordinates[rows]
-        return replace(found, residuals=y, by_coordinates=A)
-
-    weights, evidence = robust_fit(
-        linearise,
-        np.asarray(block_diag(C, 1.0), float),
-        pixels=np.tile(tracked.matches[k].left, (2, 1)),
-        size=state.head.camera(state.cameras[k]).intrinsics.size,
-        prior_design_effect=state.design_effect,
-        fixed=fixed,
-    )
-    # The relative error of all depths together is as good as unknown: its deviation is one. Else
-    # parallax would determine the scale of the depths from hundredths of a pixel.
-    N, b = evidence.information / _MOTION_INFLATION, evidence.vector / _MOTION_INFLATION
-    gain = N[:K, K] / (N[K, K] + 1)
-    N, b = N[:K, :K] - np.outer(gain, N[K, :K]), b[:K] - gain * b[K]
-    return weights, replace(evidence, information=N, vector=b)
 
 
 def _whiten(
     state: FilterState,
-    estimate: FrameEstimate,
     tracked: TrackedFeatures,
     k: int,
-    change: Array,
+    now: tuple[Array, Array],
+    *,
     depth_change: float,
-) -> LinearisedResiduals:
-    """Compute residuals (2 N,) in standard deviations, all u before all v, by K + 1 unknowns.
+) -> Linearised:
+    """Compute residuals (2 N,) of camera k in standard deviations, all u before all v.
 
-    The last unknown is the relative change of all depths.
+    Now there are readings (r,) and a change (K,) of the unknowns; the last one is the relative
+    change of all depths.
     """
     assert state.keyframe is not None
-    P, r = len(state.names), len(estimate.readings)
+    readings, change = now
+    P, r, matches = len(state.names), len(readings), tracked.matches[k]
     head = change_named(state.head, state.names, change[:P])
-    matches = tracked.matches[k]
-    now, then = estimate.readings + change[P : P + r], state.keyframe.joints + change[P + r :]
-    coordinates = motion_coordinates(head, state.names, then, now, state.cameras[k])
-    found = motion_residuals(
+    joints = state.keyframe.joints + change[P + r :], readings + change[P : P + r]
+    coordinates = motion_coordinates(head, state.names, *joints, state.cameras[k])
+    off, A = motion_residuals(
         coordinates.lenses[0],
         coordinates.T_second_first,
         earlier=matches.left,
         later=matches.right,
         depths_m=tracked.depths_m[k] * np.exp(depth_change),
     )
-    A = np.concatenate([found.by_coordinates, found.by_depth[..., None]], axis=2)
-    every = np.concatenate([A, found.residuals[..., None]], axis=2)
-    good = np.asarray(np.isfinite(every).all(axis=(1, 2)))
-    by_depth = 0.05 * found.by_depth  # by the relative error of each depth, an assumption
+    good = np.isfinite(off).all(axis=1) & np.isfinite(A).all(axis=(1, 2))
+    by_depth = 0.05 * A[..., -1]  # by the relative error of each depth, an assumption
     C = state.match_scale**2 * matches.covariance + np.einsum("ni,nj->nij", by_depth, by_depth)
     C[~good] = np.eye(2)
     systematic = 2 * state.systematic_px[k] ** 2  # then and now, in two places of the image
     random = float(np.median(C[:, 0, 0] + C[:, 1, 1])) / 2
     whiten = np.linalg.inv(np.linalg.cholesky(C + systematic * np.eye(2)))
-    y = np.where(good[:, None], (whiten @ found.residuals[..., None])[..., 0], 1e3)
+    y = np.where(good[:, None], (whiten @ off[..., None])[..., 0], 1e3)
     A = np.where(good[:, None, None], whiten @ A, 0.0)
-    return LinearisedResiduals(
+    return Linearised(
         residuals=y.T.reshape(-1),
         by_coordinates=A.swapaxes(0, 1).reshape(-1, A.shape[-1]),
         by_unknowns=np.asarray(block_diag(coordinates.by_unknowns, 1.0), float),

@@ -70,8 +70,7 @@ class SelfCalibrationResult:
     """Standard deviation of the depth of a point 1 m straight ahead due to the calibration, before
     and after; None: the point is not in front of both cameras."""
     reading_std: float
-    """Noise of the readings times their gear factors: estimated, or assumed if nothing was
-    learned."""
+    """Noise of the readings times their gear factors; assumed if nothing was learned."""
     changed: Changed
     """What was assumed to have changed since the calibration."""
     findings: tuple[Finding, ...]

@@ -1,12 +1,9 @@
 """Residuals of matched and of tracked pixels, with their derivatives.
 
-A match between the eyes is four numbers (left u, v, right u, v) that depend on a point (3) and on
-the geometry. Its residual is the combination that no displacement of the point changes: the Sampson
-distance in the space of the four coordinates. Derivatives are taken at the matched point: at the
-measured pixels they would share the noise of the residual and bias the focal lengths.
-
-A camera that turns with its eye moves by millimetres only, so that a point of roughly known depth
-predicts both coordinates of its later pixel.
+The residual of a match between the eyes is its Sampson distance in the space of its four pixel
+coordinates. Derivatives are taken at the matched point: at the measured pixels they would share the
+noise of the residual and bias the focal lengths. A tracked point of roughly known depth predicts
+both coordinates of its later pixel.
 
 Either depends on the geometry through k coordinates: the intrinsics of one or two lenses, and the
 increments of one pose. Their derivatives by the K unknowns are the same for all matches.
@@ -63,18 +60,6 @@ class EpipolarResiduals:
     """(N, 4) unit derivatives by left u, v, right u, v."""
     by_coordinates: Array
     """(N, k) derivatives of the predictions."""
-
-
-@dataclass(frozen=True, eq=False)
-class MotionResiduals:
-    """Linearised residuals of N tracked points; the earlier pixels are taken as exact."""
-
-    residuals: Array
-    """(N, 2) [px], measured minus predicted; NaN where a pixel has no direction."""
-    by_coordinates: Array
-    """(N, 2, k) derivatives of the predictions."""
-    by_depth: Array
-    """(N, 2) derivatives of the predictions by the relative change of the depth."""
 
 
 def pair_coordinates(
@@ -143,10 +128,12 @@ def epipolar_residuals(
 @ignoring_invalid
 def motion_residuals(
     lens: Camera, T_now_before: Array, *, earlier: Array, later: Array, depths_m: Array
-) -> MotionResiduals:
-    """Compute the residuals of points that a camera saw earlier and sees now, at pixels (N, 2).
+) -> tuple[Array, Array]:
+    """Compute residuals (N, 2) [px] of points that a camera saw earlier and now, at pixels (N, 2).
 
-    Their depths (N,) were along its optical axis at the earlier moment.
+    Their depths (N,) were along its optical axis at the earlier moment; the earlier pixels are
+    taken as exact. Returns also derivatives (N, 2, k + 1) of the predictions by the coordinates and
+    by the relative change of the depth. NaN where a pixel has no direction.
     """
     R, t = T_now_before[:3, :3], T_now_before[:3, 3]
     xy, by_earlier = normalise_jacobian(lens, earlier)
@@ -156,12 +143,10 @@ def motion_residuals(
     pixels, by_point, by_lens = project_jacobians(lens, turned + t)
     # The point follows what the earlier pixel demands, at its depth.
     by_pixels = product(product(by_point, R[:, :2]), by_earlier) * depths_m[:, None, None]
-    return MotionResiduals(
-        residuals=later - pixels,
-        by_coordinates=joined(
-            by_lens - product(by_pixels, by_lens_then), by_pose_of_points(by_point, turned)
-        ),
-        by_depth=times(by_point, turned),
+    return later - pixels, joined(
+        by_lens - product(by_pixels, by_lens_then),
+        by_pose_of_points(by_point, turned),
+        times(by_point, turned)[..., None],
     )
 
 

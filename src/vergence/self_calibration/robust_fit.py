@@ -34,7 +34,7 @@ LINEAR_RAD = 0.005
 
 
 @dataclass(frozen=True, eq=False)
-class LinearisedResiduals:
+class Linearised:
     """n residuals at some value of the K unknowns, with their derivatives."""
 
     residuals: Array
@@ -48,7 +48,7 @@ class LinearisedResiduals:
 
 
 def robust_fit(
-    linearise: Callable[[Array, np.ndarray], LinearisedResiduals],
+    linearise: Callable[[Array, np.ndarray], Linearised],
     C: Array,
     *,
     pixels: Array,

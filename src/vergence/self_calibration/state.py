@@ -47,11 +47,10 @@ class FilterState:
     systematic_px: tuple[float, float] = (0.0, 0.0)
     """Systematic error of each lens, rms of one coordinate, from `Accuracy.systematic_px`."""
     match_scale: float = 1.3
-    """Noise of the matches over what their windows state; at first that of windows with relief, the
-    worst kind of surface in rendered images."""
+    """Noise of the matches over what their windows state; at first that of windows with relief."""
     design_effect: float = 2.0
-    """Variance inflation by errors that neighbouring matches share; 1.1 to 1.8 in a furnished room,
-    more with fewer and longer edges."""
+    """Variance inflation by errors that neighbouring matches share; 1.1 to 1.8 in a furnished
+    room."""
     joint_weight: float = 5.0
     """Number of readings from which `reading_std` was estimated; the prior counts for five."""
     frames: int = 0
@@ -61,9 +60,9 @@ class FilterState:
     change: HeadChange | None = None
     """Change of the head that the last update detected."""
     settled: bool = False
-    """Whether the initial frames are over, which are kept and relinearised."""
+    """Whether the initial frames are over."""
     records: tuple[FrameRecord, ...] = ()
-    """The initial frames while they are relinearised; afterwards those of the change window."""
+    """The initial frames, which are relinearised; afterwards those of the change window."""
     keyframe: Keyframe | None = None
     """Frame from which features are tracked; None before the first and after a contradiction."""
 
