@@ -1,15 +1,11 @@
 """Track a moving point by a Kalman filter of position, velocity and acceleration.
 
-All quantities are in one fixed frame, and each measurement brings its own covariance, which in
-stereo is long along the line of sight. Between measurements the acceleration changes by white noise
+All quantities are in one fixed frame. Between measurements the acceleration changes by white noise
 in the jerk.
 
-A stated covariance describes the total error of a measurement. The part that differs from frame to
-frame can be far smaller: an error of the calibration, or of a joint's gain, is nearly the same in
-all frames, and no filter removes it. If it were taken for noise, the filter would trust its own
-prediction too much and lag behind the point. `InnovationRatio` therefore estimates the ratio of the
-observed to the stated variance: each measurement is compared with the parabola through the three
-before it, which follows any smooth motion.
+A stated covariance describes the total error of a measurement. An error of the calibration is
+nearly the same in all frames; if it were taken for noise, the filter would lag behind the point.
+`InnovationRatio` estimates the ratio of the observed to the stated variance.
 """
 
 from __future__ import annotations
@@ -44,6 +40,23 @@ class MotionModel:
 
 
 @dataclass(frozen=True, eq=False)
+class InnovationRatio:
+    """Running estimate of the ratio of observed to stated variance; 1 before any measurement."""
+
+    recent: tuple[tuple[float, Array], ...] = ()
+    """Times [s] and points (3,) [m] of up to three latest measurements."""
+    total: float = _PRIOR_COUNT
+    """Fading sum of the squared deviations, each relative to its stated variance."""
+    count: float = _PRIOR_COUNT
+    """Fading number of measurements in the sum."""
+
+    @property
+    def value(self) -> float:
+        """Observed variance from frame to frame over the stated variance."""
+        return self.total / self.count
+
+
+@dataclass(frozen=True, eq=False)
 class Track:
     """The state of a moving point at one time."""
 
@@ -52,6 +65,8 @@ class Track:
     """(9,) position [m], velocity [m/s], acceleration [m/s^2]."""
     covariance: Array
     """(9, 9) of the mean."""
+    ratio: InnovationRatio = InnovationRatio()
+    """Of the measurements."""
 
     @property
     def position(self) -> Array:
@@ -84,7 +99,8 @@ def predict(track: Track, time_s: float, *, jerk_density: float) -> Track:
         ]
     )
     F, Q = (np.kron(M, np.eye(3)) for M in (motion, growth))  # x, y and z move independently
-    return Track(time_s, F @ track.mean, F @ track.covariance @ F.T + Q)
+    P = F @ track.covariance @ F.T + Q
+    return replace(track, time_s=time_s, mean=F @ track.mean, covariance=P)
 
 
 def nis(track: Track, point: Array, covariance: Array) -> float:
@@ -112,35 +128,19 @@ def fuse(
     *,
     motion: MotionModel,
     gate_chi2: float = GATE_CHI2,
-    innovation_ratio: float = 1.0,
 ) -> Track:
     """Predict and update a track; start a new one without a track, or if the gate rejects.
 
     The measurement is a point (3,) [m] with the covariance (3, 3) [m^2] of its total error. The
     gate uses this covariance, the update the covariance times the innovation ratio.
     """
+    known = InnovationRatio() if track is None else track.ratio
+    ratio = update_ratio(known, time_s, point, covariance)
     if track is not None:
         track = predict(track, time_s, jerk_density=motion.jerk_density)
         if nis(track, point, covariance) <= gate_chi2:
-            return update(track, point, innovation_ratio * covariance)
-    return begin(time_s, point, covariance, motion)
-
-
-@dataclass(frozen=True, eq=False)
-class InnovationRatio:
-    """Running estimate of the ratio of observed to stated variance; 1 before any measurement."""
-
-    recent: tuple[tuple[float, Array], ...] = ()
-    """Times [s] and points (3,) [m] of up to three latest measurements."""
-    total: float = _PRIOR_COUNT
-    """Fading sum of the squared deviations, each relative to its stated variance."""
-    count: float = _PRIOR_COUNT
-    """Fading number of measurements in the sum."""
-
-    @property
-    def value(self) -> float:
-        """Observed variance from frame to frame over the stated variance."""
-        return self.total / self.count
+            return replace(update(track, point, ratio.value * covariance), ratio=ratio)
+    return replace(begin(time_s, point, covariance, motion), ratio=ratio)
 
 
 def update_ratio(

@@ -12,7 +12,7 @@ from vergence.data.dataset import Frame
 from vergence.data.table import MAX_DELAY_S
 from vergence.errors import VergenceError
 from vergence.gaze.commands import EYE_READINGS, HOLD_S, NECK, setpoints_at
-from vergence.gaze.kalman import InnovationRatio, Track, begin, fuse, predict, update_ratio
+from vergence.gaze.kalman import Track, begin, fuse, predict
 from vergence.gaze.state import GazeSettings, GazeState
 from vergence.geometry.camera import Camera, check_image_fits, unproject
 from vergence.geometry.head import base_pose_in_body, camera_pose_in_base, without_accuracy
@@ -203,8 +203,7 @@ def measure_object(
     by_sight = settings.geometry == "seen" and set(settings.wide) <= set(frame.images)
     readings = readings_at_image(settings, state, frame)
     by_readings, by_commands = _locate(settings, state, np.stack([readings, posture]))
-    aim, ratio = _fuse(settings, state.aim, state.aim_innovation_ratio, frame, by_commands)
-    state = replace(state, aim=aim, aim_innovation_ratio=ratio)
+    state = replace(state, aim=_fuse(settings, state.aim, frame, by_commands))
     if by_sight:
         return replace(state, by_joints=None if by_readings is None else by_readings[0])
     return _with_measurement(settings, state, frame, by_readings)
@@ -251,25 +250,18 @@ def _with_measurement(
     settings: GazeSettings, state: GazeState, frame: Frame, measurement: Measurement | None
 ) -> GazeState:
     """Update or, without a measurement, predict `track` at the time of a frame."""
-    track, ratio = _fuse(settings, state.track, state.innovation_ratio, frame, measurement)
-    measured = None if measurement is None else measurement[0]
-    return replace(state, measured=measured, track=track, innovation_ratio=ratio)
+    track = _fuse(settings, state.track, frame, measurement)
+    return replace(state, measured=None if measurement is None else measurement[0], track=track)
 
 
 def _fuse(
-    settings: GazeSettings,
-    track: Track | None,
-    ratio: InnovationRatio,
-    frame: Frame,
-    measurement: Measurement | None,
-) -> tuple[Track | None, InnovationRatio]:
-    motion, time_s = settings.motion, frame.time_s
+    settings: GazeSettings, track: Track | None, frame: Frame, measurement: Measurement | None
+) -> Track | None:
     if measurement is not None:
-        ratio = update_ratio(ratio, time_s, *measurement)
-        track = fuse(track, time_s, *measurement, motion=motion, innovation_ratio=ratio.value)
-    elif track is not None:
-        track = predict(track, time_s, jerk_density=motion.jerk_density)
-    return track, ratio
+        return fuse(track, frame.time_s, *measurement, motion=settings.motion)
+    if track is not None:
+        return predict(track, frame.time_s, jerk_density=settings.motion.jerk_density)
+    return None
 
 
 def _locate(

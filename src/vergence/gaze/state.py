@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.gaze.commands import HeadCommand, JointLimits, hold
-from vergence.gaze.kalman import InnovationRatio, MotionModel, Track
+from vergence.gaze.kalman import MotionModel, Track
 from vergence.geometry.head import HeadCalibration, cameras_of, main_camera
 from vergence.geometry.kinematics import EYES, Side
 from vergence.geometry.neck import NECK_JOINTS, check_named
@@ -208,10 +208,6 @@ class GazeState:
     aim: Track | None = None
     """Estimate over time from commands, for control. It has the errors of the joints' gains, but
     not the noise of readings, which would make the eyes tremble."""
-    innovation_ratio: InnovationRatio = field(default_factory=InnovationRatio)
-    """Observed over stated variance of the measurements of `track`."""
-    aim_innovation_ratio: InnovationRatio = field(default_factory=InnovationRatio)
-    """Observed over stated variance of the measurements of `aim`."""
     geometry: VisualGeometry | None = None
     """Head geometry after the latest frame, if the settings' geometry is "seen"."""
     stuck: tuple[str, ...] = ()
@@ -286,6 +282,4 @@ def look_at(settings: GazeSettings, state: GazeState, target: str | ArrayLike) -
         measured=None,
         track=None,
         aim=None,
-        innovation_ratio=InnovationRatio(),
-        aim_innovation_ratio=InnovationRatio(),
     )
