@@ -78,10 +78,13 @@ def image(width: int = 32, height: int = 24) -> np.ndarray:
     ("change", "said"),
     [
         ({"images": {"third": image()}}, "an image of 'third'; the cameras described are left_w"),
-        ({"images": {"left_wide": image(24, 32)}}, r"of shape \(32, 24, 3\); 32 x 24 pixels are d"),
-        ({"images": {"left_wide": image() / 255}}, "left_wide of float64; images are arrays of u"),
-        ({"images": {"left_wide": image()[..., 0].astype("i4")}}, "of int32; images are arrays"),
-        ({"images": {"left_wide": image().tolist()}}, "of list; images are arrays of uint8"),
+        (
+            {"images": {"left_wide": image(24, 32)}},
+            r"of shape \(32, 24, 3\) and uint8; images are arrays",
+        ),
+        ({"images": {"left_wide": image() / 255}}, "and float64; images are arrays of u"),
+        ({"images": {"left_wide": image()[..., 0].astype("i4")}}, "and int32; images are arrays"),
+        ({"images": {"left_wide": image().tolist()}}, "and list; images are arrays of uint8"),
         ({"eye_angles": np.array([0, np.nan, 0, 0])}, "line 4: left_tilt is 'nan', not a finite"),
         ({"neck_angles": np.array([np.inf, 0, 0])}, "line 4: neck_.* is 'inf', not a finite"),
         ({"eye_angles": np.full(4, 30.0)}, "line 4: left_pan = 30.0 rad is more than a turn"),

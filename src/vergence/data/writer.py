@@ -161,15 +161,12 @@ def _check_images(description: Description, frame: Frame) -> None:
             raise VergenceError(
                 f"{where} {name!r}; the cameras described are {', '.join(description.cameras)}."
             )
-        camera, dtype = description.cameras[name], getattr(image, "dtype", type(image).__name__)
-        if dtype not in (np.uint8, np.uint16):
+        size = description.cameras[name].height, description.cameras[name].width
+        dtype = getattr(image, "dtype", type(image).__name__)
+        if dtype not in (np.uint8, np.uint16) or image.shape not in (size, (*size, 3)):
             raise VergenceError(
-                f"{where} {name} of {dtype}; images are arrays of uint8, or of uint16."
-            )
-        if image.shape not in ((camera.height, camera.width), (camera.height, camera.width, 3)):
-            raise VergenceError(
-                f"{where} {name} of shape {image.shape}; {camera.width} x {camera.height} pixels "
-                f"are described, shape ({camera.height}, {camera.width}, 3)."
+                f"{where} {name} of shape {np.shape(image)} and {dtype}; images are arrays of "
+                f"uint8 or uint16, here of shape {(*size, 3)}."
             )
 
 

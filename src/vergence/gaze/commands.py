@@ -1,8 +1,7 @@
 """Joint commands and limits, and the interface between a controller and a head's driver.
 
-A command describes the motion until the next command arrives. A driver can therefore renew its set
-points every millisecond while the controller runs at the frame rate, and the controller can compute
-the set points at the time of any frame, however late the frame arrives.
+A command describes the motion until the next command arrives, so that a driver can renew its set
+points at any time, and the controller knows those at the time of any frame.
 
 A posture has j joints: the three of the neck, then the readings of the eyes in the order of the
 head's kinematics. HEAD_JOINTS is the order for eyes that pan and tilt.
@@ -82,8 +81,8 @@ def joint_limits(
 ) -> JointLimits:
     """Make limits from the ranges and maximum speeds of some joints; the others stay at zero.
 
-    `joints` are all joints of a posture: the neck's, then the readings of the eyes. Raises
-    VergenceError for a joint that is unknown, or without a valid range and speed.
+    `joints` are all joints of a posture. Raises VergenceError for a joint that is unknown, or
+    without a valid range and speed.
     """
     for name in {**range_rad, **speed_rad_s}:
         if name not in joints:
@@ -126,10 +125,9 @@ def setpoint(command: HeadCommand, time_s: float | Array) -> Array:
 
 
 def setpoints_at(commands: Sequence[HeadCommand], time_s: float, lag_s: float = 0.0) -> Array:
-    """Compute the set points (j,) [rad] at a time from commands in the order of their times.
+    """Compute the set points (j,) [rad] at a time, with a lag as servos of first order follow them.
 
-    With a lag the result is the response of servos of first order with this time constant. The
-    first command also holds for earlier times.
+    Commands are in the order of their times; the first one also holds for earlier times.
     """
     since_s = [command.time_s for command in commands]
     times_s = np.atleast_1d(time_s - lag_s * _AGES if lag_s else time_s)
@@ -143,10 +141,7 @@ def setpoints_at(commands: Sequence[HeadCommand], time_s: float, lag_s: float = 
 
 
 def hold(posture: ArrayLike, limits: JointLimits, time_s: float) -> HeadCommand:
-    """Make the command that holds a posture (j,) [rad].
-
-    Raises VergenceError unless there is one finite angle for each joint of the limits.
-    """
+    """Make the command that holds a posture, (j,) finite angles [rad], or VergenceError."""
     posture = np.array(posture, float)  # a copy, since a driver may write into its array
     if posture.shape != (len(limits.joints),) or not np.isfinite(posture).all():
         raise VergenceError(

@@ -1,14 +1,11 @@
 """Closed-loop gaze control: find an object, turn the eyes to it, and keep it on both foveas.
 
-`step_gaze` is a pure function of settings, state, frame and time. The state holds the command for
-the joints. The only inputs are frames and earlier commands.
+`step_gaze` is a pure function of settings, state, frame and time.
 
 One control law serves all phases. The object's pixel in an eye's image, with that eye's set points
 at the time of the image, gives the direction to the object, and the track gives its depth. The goal
-is the posture that centres this point. In the narrow image this closes the loop: once the error is
-zero, the goal is the present posture, whatever the gains of the joints. In the wide image it
-implements Eqs. 18-19. The goal moves at the rate at which the angles to the tracked point change,
-by the velocity of the point and by the motion of the neck: the feed-forward of smooth pursuit, and
+is the posture that centres this point; in the wide image this implements Eqs. 18-19. The goal moves
+at the rate at which the angles to the tracked point change: the feed-forward of smooth pursuit, and
 the vestibulo-ocular reflex.
 """
 
@@ -38,7 +35,6 @@ from vergence.gaze.observation import (
     Rays,
     aim_at_assumed_depth,
     detect_object,
-    is_central,
     measure_object,
     object_rays,
     posture_at_image,
@@ -79,18 +75,7 @@ def step_gaze(
 ) -> GazeState:
     """Run one step of the gaze controller: detect, estimate, decide, command.
 
-    Example: keep the eyes of a head on a red sphere for ten seconds; `run_gaze` is this loop.
-
-        head = vg.load_head("calibration.json")
-        settings = vg.GazeSettings(head)  # the object is a red sphere by default
-        driver = ...  # has now_s, read and command: see docs/own_driver.md
-        state = vg.initial_gaze_state(settings, np.zeros(len(settings.joints)), driver.now_s())
-        while driver.now_s() < 10.0:
-            frame = driver.read(state.cameras)
-            state = vg.step_gaze(settings, state, frame, driver.now_s())
-            driver.command(state.command)
-            if state.track is not None:
-                print(state.phase, state.track.position)  # [m] in frame body
+    `run_gaze` calls it in a loop; docs/own_driver.md has a driver.
 
     Args:
         settings: of the head and its controller.
@@ -98,8 +83,7 @@ def step_gaze(
         frame: the latest; None, a repeated frame or an older one counts as no new frame.
         now_s: time from which the command can take effect, not before the frame's time stamp.
 
-    Raises:
-        VergenceError: the frame is not one of this head and its clock.
+    Raises VergenceError if the frame is not one of this head and its clock.
     """
     if frame is None or frame.time_s <= state.frame_s:
         if not isinstance(state.target, str):
@@ -131,8 +115,7 @@ def _follow(
 ) -> GazeState:
     """Command the posture that keeps the aim on both foveas.
 
-    Aim, posture (j,) [rad] and rays are those at the time of the image. An eye without a ray to the
-    object is turned by the aim alone.
+    Aim, posture (j,) [rad] and rays are those at the time of the image.
     """
     calibration, aim, image_s = settings.calibration, state.aim, state.frame_s
     assert aim is not None  # `aim_at_assumed_depth` sets it if there is no measurement
@@ -220,9 +203,6 @@ def _move_eyes(
         settings.limits,
     )
     narrow_suffices = phase is not GazePhase.SACCADE and state.geometry is None and not on_point
-    for name in settings.narrow if narrow_suffices else ():
-        lens = settings.calibration.camera(name).intrinsics
-        narrow_suffices &= is_central(lens, state.pixels[name], settings.central_share)
     return _send(
         state,
         command,
@@ -247,8 +227,7 @@ def _is_moving(settings: GazeSettings, state: GazeState) -> bool:
     """Test whether the object moves across the line of sight from frame body's origin.
 
     The commands decide, unless the speed by the readings is below a quarter of theirs: joints that
-    lag behind their set points make an object at rest seem to move, and following it would keep
-    them moving. With a half, the noise of readings would stop the pursuit of a slow object.
+    lag behind their set points make an object at rest seem to move.
     """
     if state.aim is None:
         return False

@@ -1,9 +1,8 @@
 """Foveation (Sec. III, Eqs. 18-19), and the readings at which the eyes fixate points.
 
 The paper's foveal camera is `narrow` here, its peripheral one `wide`, and R_fp, t_fp are
-`head.wide_pose_in_narrow`, the pose of the wide camera in the narrow one. The paper subtracts
-principal points and omits distortion; pixels here include both. The formulas use the inverse depth,
-so that an infinite depth needs no special case. See docs/equations.md and docs/conventions.md.
+`head.wide_pose_in_narrow`. The paper subtracts principal points and omits distortion; pixels here
+include both. See docs/equations.md and docs/conventions.md.
 """
 
 from __future__ import annotations
@@ -40,10 +39,9 @@ def ideal_wide_pixel(
 ) -> Array:
     """Eqs. 18-19: project points on the narrow camera's axis to wide pixels (..., 2).
 
-    A point at such a wide pixel falls on the principal point of the narrow image, whatever its
-    intrinsic parameters. The depths (...) [m] are along the narrow camera's axis; infinity gives
-    the limit. None: the eye's cameras by their default names. Raises VergenceError if a depth is
-    not above 0, or the eye does not have both cameras.
+    The depths (...) [m] are along the narrow camera's axis and may be infinite. None: the eye's
+    cameras by their default names. Raises VergenceError if a depth is not above 0, or the eye does
+    not have both cameras.
     """
     names = cameras or EyeCameras(wide=f"{eye}_wide", narrow=f"{eye}_narrow")
     wide, narrow = calibration.camera(names.wide), calibration.camera(names.narrow)
@@ -111,13 +109,10 @@ _CONVERGED = 1e-8
 def solve_fixation(calibration: HeadCalibration, targets: Mapping[str, Array]) -> Array:
     """Compute the readings (..., r) [rad] that centre a point in each of some cameras.
 
-    Gauss-Newton iteration to machine precision, with the joints' imperfections and with the cameras
-    off their rotation centres. Eyes that share a joint minimise the sum of their squared errors.
-
     The targets are, by camera, points (..., 3) [m] in the base frame of its eye, to be centred on
-    the principal point, so that the lens does not matter. Readings are NaN if they move no eye of
-    these cameras, and for points that no posture centres: NaN, on the pan axis, or closer than the
-    camera. Raises VergenceError if the head has no such camera.
+    the principal point by Gauss-Newton iteration. Eyes that share a joint minimise the sum of their
+    squared errors. Readings are NaN if they move no eye of these cameras, and for points that no
+    posture centres. Raises VergenceError if the head has no such camera.
     """
     kinematics = calibration.kinematics
     shape = np.broadcast_shapes(*(points.shape[:-1] for points in targets.values()))
@@ -172,8 +167,7 @@ def _off_centre(
 ) -> tuple[Array, Array, np.ndarray]:
     """Project points in an eye's base to x/z and y/z (..., 2), with derivatives (..., 2, r).
 
-    Both are zero for points behind the camera; the last result (..., 1) is whether they are before
-    it. The camera has _UNIT_LENS.
+    Both are zero for points behind the camera; the last result (..., 1) is whether they are ahead.
     """
     eye = eye_motion(kinematics, mounted.eye, readings, errors=False)
     # The identity in place of T_rbase_lbase: the points are in this base already.

@@ -67,8 +67,7 @@ def append_reading(
 ) -> tuple[HandReading, ...]:
     """Append a reading to those that are as late as an image may be.
 
-    A pose that is not finite, as from a bus that does not answer, is replaced by the last one.
-    Raises VergenceError if it is not (4, 4), or the first one is not finite.
+    A pose that is not finite is replaced by the last one. VergenceError if the first one is not.
     """
     # A copy, since a driver may write the next pose into the same array.
     time_s, T = reading.time_s, np.array(reading.T_body_hand, float)

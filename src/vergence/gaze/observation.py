@@ -14,7 +14,7 @@ from vergence.errors import VergenceError
 from vergence.gaze.commands import EYE_READINGS, HOLD_S, NECK, setpoints_at
 from vergence.gaze.kalman import Track, begin, fuse, predict
 from vergence.gaze.state import GazeSettings, GazeState
-from vergence.geometry.camera import Camera, check_image_fits, unproject
+from vergence.geometry.camera import check_image_fits, unproject
 from vergence.geometry.head import base_pose_in_body, camera_pose_in_base, without_accuracy
 from vergence.geometry.kinematics import EYES, Side, checked_readings
 from vergence.geometry.neck import checked_neck_angles
@@ -38,10 +38,9 @@ def detect_object(
 ) -> GazeState:
     """Detect the object in a new frame, and the joints that are stuck.
 
-    Only requested images are searched. The wide image of an eye is searched if the narrow one does
-    not show the object or if the geometry is seen by it. Nothing is searched for a given point.
-    Raises VergenceError if the frame's readings, images or time stamps are not those of this head
-    and its clock, or the detector returned something invalid.
+    Of the requested images, the wide one of an eye is searched if the narrow one does not show the
+    object, or if the geometry is seen by it. Raises VergenceError if the frame is not one of this
+    head and its clock, or the detector returned something invalid.
     """
     late_s, apart_s = now_s - frame.time_s, abs(frame.time_s - frame.joint_time_s)
     if not (apart_s <= MAX_DELAY_S and -MAX_DELAY_S <= late_s <= _OLDEST_S):
@@ -80,7 +79,6 @@ def detect_object(
         frame_s=frame.time_s,
         stuck=_stuck_joints(settings, state, frame.joint_time_s, readings),
         measured=None,
-        by_joints=None,
     )
 
 
@@ -93,10 +91,9 @@ def detect(
     *,
     target: str,
 ) -> Detection | None:
-    """Run a detector on one image of a frame, near the earlier detection of that camera.
+    """Run a target's detector on one image of a frame, near the earlier detection of that camera.
 
-    Raises VergenceError if the image does not have the calibration's size, or the detector of the
-    target returns something else than a `Detector` does.
+    Raises VergenceError for an image of another size, or an invalid detection.
     """
     image, intrinsics = frame.images[camera], settings.calibration.camera(camera).intrinsics
     before = earlier.get(camera)
@@ -134,10 +131,9 @@ def _readings(settings: GazeSettings, frame: Frame) -> Array:
 
 
 def readings_at_image(settings: GazeSettings, state: GazeState, frame: Frame) -> Array:
-    """Extrapolate the joint readings (j,) [rad] to the time of the image.
+    """Extrapolate the joint readings (j,) [rad] to the time of the image by the commands.
 
-    They change by what the servos have followed of the commands since. The delay is the calibrated
-    time offset or, without one, the difference of the time stamps.
+    The delay is the calibrated time offset or, without one, the difference of the time stamps.
     """
     readings = _readings(settings, frame)
     earlier_s = settings.calibration.time_offset_s or frame.time_s - frame.joint_time_s
@@ -153,8 +149,7 @@ def readings_at_image(settings: GazeSettings, state: GazeState, frame: Frame) ->
 def posture_at_image(settings: GazeSettings, state: GazeState, frame: Frame) -> Array:
     """Compute the joint angles (j,) [rad] at the time of the image from the commands.
 
-    Set points have neither the noise nor the gains of readings, which a loop that is closed by the
-    image does not need. Readings are better for the heavy neck, which lags, and for stuck joints.
+    Those of the heavy neck, which lags, and of stuck joints are readings.
     """
     use_reading = np.isin(settings.joints, state.stuck)
     use_reading[NECK] = True
@@ -172,12 +167,6 @@ def best_view(
         if found is not None:
             return name, found
     return None
-
-
-def is_central(camera: Camera, pixel: Array, share: float) -> bool:
-    """Test whether a pixel (2,) is in an image's central part: a share of width and height."""
-    size = np.array(camera.size)
-    return bool((np.abs(2 * pixel + 1 - size) / size < share).all())
 
 
 def object_rays(settings: GazeSettings, state: GazeState, posture: Array) -> Rays:
@@ -205,7 +194,7 @@ def measure_object(
     by_readings, by_commands = _locate(settings, state, np.stack([readings, posture]))
     state = replace(state, aim=_fuse(settings, state.aim, frame, by_commands))
     if by_sight:
-        return replace(state, by_joints=None if by_readings is None else by_readings[0])
+        return replace(state, measured=None if by_readings is None else by_readings[0])
     return _with_measurement(settings, state, frame, by_readings)
 
 
@@ -213,8 +202,7 @@ def update_track(settings: GazeSettings, state: GazeState, frame: Frame | None) 
     """Update the head geometry and `track` by what both wide images of a step's frame show.
 
     Call it after the step's command was sent: it takes longer than the step, and steering does not
-    need it. The state is returned as it is with geometry "joints", and for a frame that the step
-    did not use. Raises VergenceError as `self_calibration.calibrator.update_geometry` does.
+    need it. Raises VergenceError as `self_calibration.calibrator.update_geometry` does.
     """
     if state.geometry is None or frame is None or state.seen_s != frame.time_s:
         return state
@@ -295,11 +283,10 @@ def aim_at_assumed_depth(
 ) -> GazeState:
     """Aim along one eye's ray at an assumed depth, where the frame gave no measurement.
 
-    This happens if one eye sees the object, or if the rays do not meet, as those to a distant
-    object or to two objects. An aim near the ray is kept, since its depth is known better. On a
-    head with one eye the points at the assumed depth are fused over time to follow a motion.
+    An aim near the ray is kept, since its depth is known better. On a head with one eye the points
+    at the assumed depth are fused over time to follow a motion.
     """
-    if state.measured is not None or state.by_joints is not None:
+    if state.measured is not None:
         return state
     eye, (centre, ray) = next(iter(rays.items()))
     T_body_eye = base_pose_in_body(settings.calibration, eye, posture)

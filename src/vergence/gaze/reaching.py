@@ -1,14 +1,12 @@
 """Reach for the object that the eyes fixate, and close the hand on it (the paper's Fig. 12).
 
 `step_reach` is a pure function of settings, state, frame, hand reading and time. It steps the gaze
-controller, which moves the eyes, and the state holds the commands for head and hand.
+controller, too.
 
-From a distance the hand moves to a standoff below the object, by the object's position in frame
-body. There the eyes see the marker on the hand, and from then on the hand moves by the difference
-between object and marker. The same cameras locate both at the same joint angles. Errors of the
-calibration, of the readings and of the arm's mounting are therefore common to both, and cancel as
-the two approach each other. The fingers close when the object is within their tolerance with
-sufficient confidence, which the covariances decide.
+From a distance the hand moves to a standoff below the object. There the eyes see the marker on the
+hand, and from then on the hand moves by the difference between object and marker. Errors of the
+calibration, the readings and the arm's mounting are common to both, and cancel as the two approach
+each other. The fingers close when the covariances make sure that the object is between them.
 """
 
 from __future__ import annotations
@@ -86,8 +84,7 @@ class ReachSettings:
     """Standard deviations that must lie within the tolerance for the hand to close: 99 %."""
     relative_error: float = 0.03
     """Systematic error of the measured difference between object and marker, as a share of their
-    distance, from the calibration and the attitude of the hand. It is the same in every frame, so
-    that the filter does not average it out."""
+    distance, from the calibration and the attitude of the hand."""
     motion: MotionModel = field(default_factory=lambda: MotionModel(jerk_density=0.04))
     """Motion of an object that a person holds out: its acceleration changes by 0.2 m/s^2 in 1 s."""
     lost_s: float = 0.3
@@ -139,8 +136,7 @@ class ReachState:
     def approach_track(self) -> Track | None:
         """The object's track by which the hand approaches before its marker is seen.
 
-        It is that of the seen geometry, or else that of the commands: the noise of readings would
-        shake the hand.
+        The noise of readings would shake the hand.
         """
         seen = self.gaze.geometry is not None and self.gaze.track is not None
         return self.gaze.track if seen else self.gaze.aim
@@ -159,10 +155,7 @@ def initial_reach_state(
     *,
     geometry: VisualGeometry | None = None,
 ) -> ReachState:
-    """Start at rest with the head at set points (j,) [rad]; see `initial_gaze_state`.
-
-    Raises VergenceError if the posture or the hand's reading is invalid.
-    """
+    """Start at rest with the head at set points (j,) [rad]; see `initial_gaze_state`."""
     gaze = initial_gaze_state(settings.gaze, posture, time_s, geometry=geometry)
     readings = append_reading((), reading)
     rest = HandCommand(time_s, readings[-1].T_body_hand[:3, 3], np.zeros(3))
@@ -178,10 +171,7 @@ def run_reach(
     *,
     watch: Callable[[ReachState, Frame | None], None] = lambda state, frame: None,
 ) -> ReachState:
-    """Run the control loop of head and hand until an object is held or a time of the head's clock.
-
-    `watch` gets each state and its frame.
-    """
+    """Run the control loop until an object is held or a time; `watch` gets each state and frame."""
     while head.now_s() < until_s and state.phase is not ReachPhase.HELD:
         frame = head.read(state.cameras)
         state = step_reach(settings, state, frame, hand.read(), head.now_s())
@@ -201,15 +191,7 @@ def step_reach(
 ) -> ReachState:
     """Run one step of the reach controller: step the gaze, locate the hand, decide, command.
 
-    Args:
-        settings: of head and hand.
-        state: the present one.
-        frame: the latest; None, a repeated frame or an older one counts as no new frame.
-        reading: of the hand, now.
-        now_s: time from which the commands can take effect.
-
-    Raises:
-        VergenceError: the hand's reading or the frame is invalid.
+    See `step_gaze` for frame and time. Raises VergenceError for an invalid reading or frame.
     """
     before, gaze = state.gaze, step_gaze(settings.gaze, state.gaze, frame, now_s)
     state = replace(state, gaze=gaze, readings=append_reading(state.readings, reading))

@@ -75,7 +75,7 @@ class GazeSettings:
     """Cameras to use, by eye; None: `default_roles`. An eye without an entry does not move."""
     geometry: Geometry = "joints"
     """How the object is located: from the joint readings, or from a head geometry that is corrected
-    by what both wide images show. The eyes are steered by the images either way."""
+    by what both wide images show."""
     limits: JointLimits = field(default_factory=JointLimits)
     use_neck: bool = False
     """Whether the neck takes part in gaze shifts."""
@@ -103,9 +103,6 @@ class GazeSettings:
     """Assumed depth of an object that one eye sees."""
     aim_gate_rad: float = 0.1
     """Angle between the ray of one eye and the aim above which the aim is reset."""
-    central_share: float = 0.6
-    """Central part of the narrow images, as a share of width and height. While the object is inside
-    it, only the narrow images are requested."""
     stuck_rad: float = 0.06
     """Difference between reading and command above which a resting joint is stuck. A gain error of
     a tenth causes less."""
@@ -200,14 +197,10 @@ class GazeState:
     """The object by camera searched in the latest frame; None: not found."""
     measured: Array | None = None
     """(3,) [m] stereo estimate from the latest frame alone, in frame body."""
-    by_joints: Array | None = None
-    """(3,) [m] the same from the joint readings, if geometry is "seen"; None: no estimate."""
     track: Track | None = None
-    """Estimate over time from joint readings or from the seen geometry, in frame body (frame head
-    without a neck): the position to report."""
+    """Estimate over time from joint readings or the seen geometry, in frame body, to report."""
     aim: Track | None = None
-    """Estimate over time from commands, for control. It has the errors of the joints' gains, but
-    not the noise of readings, which would make the eyes tremble."""
+    """Estimate over time from commands, for control: without the noise of readings."""
     geometry: VisualGeometry | None = None
     """Head geometry after the latest frame, if the settings' geometry is "seen"."""
     stuck: tuple[str, ...] = ()
@@ -240,7 +233,6 @@ def initial_gaze_state(
     """Start at rest at set points (j,) [rad], with the first object of the settings as target.
 
     `geometry` is what an earlier run has learned; it is used if the settings' geometry is "seen".
-    Raises VergenceError if the posture is not one finite angle for each joint.
     """
     if settings.geometry != "seen":
         geometry = None
@@ -260,8 +252,7 @@ def initial_gaze_state(
 def look_at(settings: GazeSettings, state: GazeState, target: str | ArrayLike) -> GazeState:
     """Set another target from the next step on, and discard the estimates of the previous one.
 
-    The target is the name of an object, or a point (3,) [m] in frame body, which is looked at by
-    the calibration and the set points alone. Raises VergenceError if it is neither.
+    The target is the name of an object, or a point (3,) [m] in frame body, or VergenceError.
     """
     if isinstance(target, str):
         if target not in settings.objects:

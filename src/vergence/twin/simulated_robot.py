@@ -26,7 +26,6 @@ from vergence.gaze.commands import (
     joint_limits,
     setpoint,
 )
-from vergence.gaze.observation import is_central
 from vergence.gaze.state import GazeSettings
 from vergence.geometry.head import base_pose
 from vergence.geometry.kinematics import EYE_JOINTS, Kinematics
@@ -213,7 +212,8 @@ def foveal_errors(twin: Twin, settings: GazeSettings) -> Array:
 def in_all_foveas(twin: Twin, settings: GazeSettings) -> bool:
     """Tell whether the object's centre is within all these images."""
     return all(
-        is_central(twin.truth.camera(name).intrinsics, pixel, share=1.0)
+        (np.abs(pixel + 0.5) < twin.truth.camera(name).intrinsics.size).all()
+        and (pixel > -0.5).all()
         for name, pixel in zip(settings.narrow, true_pixels(twin, settings), strict=True)
     )
 

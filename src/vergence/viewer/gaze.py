@@ -104,8 +104,6 @@ def _log_positions(
     truth, unknown = observed.position, np.full(3, np.nan)
     fused = unknown if state.track is None else state.track.position
     estimates = {"error/fused": fused, "error/by_one_frame": state.measured}
-    if settings.geometry == "seen":
-        estimates["error/by_joints"] = state.by_joints
     trails = {"trail": fused, "estimate": fused}
     if observed.hand is not None:
         estimates["hand/distance"] = trails["hand_trail"] = observed.hand
@@ -170,7 +168,6 @@ def aims(settings: GazeSettings, state: GazeState, frame: Frame) -> dict[str, Ar
 def log_gaze_styles(rec: rr.RecordingStream, T_world_body: Array) -> None:
     """Record names and colours of curves and marks, and the pose (4, 4) of frame body."""
     curves: dict[str, tuple[str, tuple[int, int, int]]] = {
-        "error/by_joints": ("one frame by the joints", style.OLD),
         "error/by_one_frame": ("one frame", style.PAPER),
         "error/fused": ("fused", style.ESTIMATE),
         "hand/distance": ("hand from the object", style.HAND),
