@@ -7,8 +7,7 @@ import pytest
 from recordings import held, picture
 from vergence.geometry.board import Charuco, Chessboard
 from vergence.vision import board_detection
-from vergence.vision.board_detection import detect_board
-from vergence.vision.chessboard_checks import ends_inside, goes_on, is_chequered
+from vergence.vision.board_detection import detect_board, ends_inside, goes_on, is_chequered
 
 BOARD = Chessboard(columns=8, rows=6, square_m=0.03)
 SIZE = 300, 240

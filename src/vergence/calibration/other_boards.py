@@ -13,9 +13,8 @@ import numpy as np
 
 from vergence.errors import counted
 from vergence.geometry.board import DICTIONARIES, Board, Charuco, Chessboard, marker_family
-from vergence.vision.board_detection import detect_board, upsampled
+from vergence.vision.board_detection import detect_board, ends_inside, upsampled
 from vergence.vision.board_pose import LEAST_CORNERS
-from vergence.vision.chessboard_checks import ends_inside
 from vergence.vision.marker_layout import (
     MarkerPairs,
     board_of,

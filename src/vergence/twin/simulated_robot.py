@@ -212,8 +212,7 @@ def foveal_errors(twin: Twin, settings: GazeSettings) -> Array:
 def in_all_foveas(twin: Twin, settings: GazeSettings) -> bool:
     """Tell whether the object's centre is within all these images."""
     return all(
-        (np.abs(pixel + 0.5) < twin.truth.camera(name).intrinsics.size).all()
-        and (pixel > -0.5).all()
+        ((pixel > -0.5) & (pixel + 0.5 < twin.truth.camera(name).intrinsics.size)).all()
         for name, pixel in zip(settings.narrow, true_pixels(twin, settings), strict=True)
     )
 
