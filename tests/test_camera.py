@@ -45,13 +45,6 @@ def test_equation_1_holds_for_corrected_pixels_only():
     np.testing.assert_allclose(undistort(WIDE, as_seen), pinhole_pixel, atol=1e-9)
 
 
-def test_project_undoes_normalise_up_to_the_corners_of_the_image():
-    u, v = np.meshgrid(np.linspace(0, 639, 17), np.linspace(0, 479, 13))
-    pixels = np.stack([u, v], axis=-1)
-    points = np.concatenate([normalise(WIDE, pixels), np.ones((13, 17, 1))], axis=-1)
-    np.testing.assert_allclose(project(WIDE, points), pixels, atol=1e-11)
-
-
 def test_points_that_are_not_in_front_project_to_nan():
     points = np.array([[0.1, 0.2, -1.0], [0.1, 0.2, 0.0], [np.nan, 0, 1], [0, 0, np.nan]])
     assert np.isnan(project(WIDE, points)).any(axis=1).all()

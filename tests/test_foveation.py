@@ -19,9 +19,7 @@ from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import EYES, Side
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, pose, transform
-from vergence.stereo.uncertainty import depth_error
 from vergence.twin.head import Twin
-from vergence.twin.model import nominal_head
 from vergence.twin.profile import load_profile
 from vergence.vision.sphere import find_sphere
 
@@ -137,15 +135,6 @@ def test_an_error_in_depth_costs_less_the_farther_the_point():
     assert 4 < near / far < 6  # as 1 / z for an error of 10 %
     np.testing.assert_allclose(foveal_miss(made, "left", np.inf, np.inf), 0, atol=1e-9)
     assert np.linalg.norm(foveal_miss(made, "left", 1e6, 1e5)) < 0.01
-
-
-def test_a_pixel_of_disparity_costs_the_fovea_the_same_at_any_distance():
-    """Depth is wrong by z^2 (Eq. 20), the ideal position moves by 1 / z^2 (Eqs. 18-19)."""
-    made = nominal_head("2.8mm")
-    depth = np.array([0.3, 0.5, 1.0, 1.5, 3.0])
-    wrong = depth_error(depth, 0.092, 280.0, 1.0)
-    cost = np.linalg.norm(foveal_miss(made, "left", depth, depth + wrong), axis=1)
-    np.testing.assert_allclose(cost, 1.35, atol=0.1)
 
 
 @pytest.mark.parametrize("depth", [0.0, -1.0, np.nan])

@@ -125,12 +125,6 @@ def test_joints_that_lag_behind_their_set_points_come_to_rest(servo_lag_s: float
     assert done.after(0.7).max() < 0.5
 
 
-def test_a_lag_of_which_the_controller_knows_nothing_makes_no_object_move():
-    target = point_at(12, -8, 0.8)
-    done = run(DrawnHead(lambda _: target, latency_s=0.03, servo_lag_s=0.02), 1.2)
-    assert done.after(1.0).max() < 3  # 147 px, if the readings did not count
-
-
 def test_an_object_that_both_eyes_see_but_whose_rays_do_not_meet_is_followed():
     """As one far away is by a head whose calibration is a little off."""
     right = SETTINGS.calibration.cameras
@@ -219,13 +213,6 @@ def test_a_stuck_joint_is_named_and_the_others_continue():
     assert np.linalg.norm(during.track.position - target) < 5e-3
     assert done.states[-1].stuck == ()
     assert done.errors[-1].max() < 1
-
-
-@pytest.mark.slow
-def test_gains_and_noise_of_the_readings_do_not_reach_the_fovea():
-    head = DrawnHead(lambda _: point_at(18, 12, 0.7), joint_gain=0.97, joint_noise_rad=2.5e-3)
-    done = run(head, 1.3, replace(SETTINGS, reading_std=2.5e-3))
-    assert np.quantile(done.after(0.5), 0.95) < 3
 
 
 def test_both_eyes_turn_to_an_object_that_only_one_sees():

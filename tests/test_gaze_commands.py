@@ -41,13 +41,6 @@ def test_set_points_keep_ranges_and_speeds(start, goal, rate, time_s):
     assert (now <= np.maximum(upper, start - reach) + 1e-12).all()
 
 
-def test_set_points_stay_a_quarter_degree_within_the_ranges():
-    """Because servos overshoot a little."""
-    ends = np.stack([setpoint(command(goal=goal), 9.0) for goal in (-10.0, 10.0)], axis=1)
-    beside = np.degrees(ends - LIMITS.range_rad)
-    np.testing.assert_allclose(beside, np.tile([0.25, -0.25], (7, 1)))
-
-
 @pytest.mark.parametrize(
     ("end_rad", "speed_rad_s"),
     [((-np.inf, 1.0), 1.0), ((-1.0, np.inf), 1.0), ((-1.0, 1.0), np.inf), ((-1.0, 1.0), np.nan)],

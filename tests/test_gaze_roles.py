@@ -63,12 +63,6 @@ def test_the_default_roles_are_the_cameras_that_are_called_so():
     assert settings.cameras == ("left_wide", "right_wide", "left_narrow", "right_narrow")
 
 
-def test_an_eye_with_one_camera_has_it_in_both_roles():
-    roles = default_roles(only("left_wide", "left_narrow", starboard="right_wide"))
-    assert roles["right"] == EyeCameras("starboard", "starboard")
-    assert list(default_roles(only("right_narrow"))) == ["right"]
-
-
 @pytest.mark.parametrize("lens", ["wide", "narrow"])
 def test_a_head_with_one_camera_an_eye_centres_objects_in_it(lens: str):
     settings = GazeSettings(calibration=only(f"left_{lens}", f"right_{lens}"))
@@ -79,14 +73,6 @@ def test_a_head_with_one_camera_an_eye_centres_objects_in_it(lens: str):
     assert state.track is not None
     assert np.linalg.norm(state.track.position - target) < 5e-3
     assert state.cameras == settings.cameras == (f"left_{lens}", f"right_{lens}")
-
-
-def test_cameras_of_four_may_be_chosen():
-    roles = {eye: EyeCameras(f"{eye}_wide", f"{eye}_wide") for eye in EYES}
-    settings = GazeSettings(calibration=HEAD, roles=roles)
-    head, _ = run(settings)
-    assert at_end(head, settings).max() < 0.3
-    assert head.errors_px(head.time_s).max() > 5  # in the narrow images, 30 mm below
 
 
 @pytest.mark.parametrize("eye", EYES)

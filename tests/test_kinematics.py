@@ -192,14 +192,6 @@ def test_readings_that_are_not_as_many_as_the_heads_are_refused(find, wrong):
         find(wrong)
 
 
-def test_readings_of_any_leading_dimensions_are_no_measured_poses():
-    readings = np.random.default_rng(0).uniform(-0.2, 0.2, (3, 5, 4))
-    T = eye_poses(HEAD, readings)
-    assert T.shape == (3, 5, 2, 4, 4)
-    np.testing.assert_allclose(T[2, 4], eye_poses(HEAD, readings[2, 4]), atol=1e-15)
-    np.testing.assert_array_equal(eye_poses(HEAD, T), T)
-
-
 def shared_tilt() -> Kinematics:
     """Return eyes that tilt together and pan each by itself, in this order."""
     eyes = {}

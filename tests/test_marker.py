@@ -55,17 +55,6 @@ def test_the_stated_standard_deviation_covers_the_errors(depth: float):
     assert 0.2 < np.sqrt(np.mean(np.square(ratios))) < 1.2
 
 
-def test_it_is_found_near_its_last_place_and_elsewhere_alike():
-    point = at(WIDE, (400.2, 150.9), 0.5)
-    image = shown(WIDE, pose(t=point))
-    everywhere = DETECT(image, WIDE, None)
-    assert everywhere is not None
-    for near in ((402.0, 148.0), (60.0, 440.0), (np.nan, np.nan), (9000.0, -5.0)):
-        found = DETECT(image, WIDE, np.array(near))
-        assert found is not None
-        np.testing.assert_allclose(found.pixel, everywhere.pixel, atol=0.05)
-
-
 def test_other_markers_and_empty_images_are_not_taken_for_it():
     image = draw_card(WIDE, picture(8), pose(t=[0, 0, 0.4]), SIDE_M * 8 / 6)
     assert DETECT(image, WIDE, None) is None

@@ -95,19 +95,6 @@ def test_the_grasp_tolerates_errors_of_the_mounting_and_of_the_calibration():
     assert miss_m(drawn) < 5e-3
 
 
-def test_late_and_missing_frames_are_tolerated():
-    head = DrawnHeadWithHand(
-        lambda t: OBJECT + np.array([0.0, 0.02 * np.sin(2 * t), 0.0]),
-        home=SETTINGS.home,
-        T_body_arm=ROUGHLY,
-        latency_s=0.025,
-        dropped=lambda number: number % 7 == 3,
-    )
-    state, _ = run(head, 5.0)
-    assert state.phase is ReachPhase.HELD
-    assert miss_m(head) < 6e-3
-
-
 def test_a_hand_waits_until_its_marker_is_seen():
     apart_m: list[float] = []
 

@@ -122,17 +122,6 @@ def test_the_centre_of_a_sphere_that_is_hidden_in_part_is_not_known(depth: float
     assert error < 2 * found.std_px
 
 
-@pytest.mark.parametrize("blur_px", [3, 5])
-def test_a_sphere_blurred_by_motion_is_found_whole(blur_px: int):
-    pixel = (200.4, 300.3)
-    image = picture(WIDE, at(WIDE, pixel, 0.4), light=np.array([0.8, -0.6, 0.0]), background=WOOD)
-    image = cv2.blur(image, (blur_px, 1))
-    assert np.abs(find_sphere(image, WIDE) - pixel).max() < 0.3
-    found = sphere_detector()(image, WIDE, None)
-    assert found is not None
-    assert found.std_px < 0.3
-
-
 @pytest.mark.render
 def test_the_rendered_sphere_is_where_the_twin_knows_it_in_the_room():
     from vergence.geometry.projection import project_point
@@ -151,14 +140,6 @@ def test_the_rendered_sphere_is_where_the_twin_knows_it_in_the_room():
                     errors.append(find_sphere(image, twin.truth.camera(name).intrinsics) - true)
     assert np.abs(np.mean(errors, axis=0)).max() < 0.05
     assert np.sqrt(np.mean(np.square(errors))) < 0.07
-
-
-def test_where_it_is_sought_first_does_not_change_what_is_found():
-    """Around it, cut by the edge of what is searched, elsewhere, and nowhere."""
-    image = picture(WIDE, at(WIDE, (200.4, 300.3), 0.25))
-    for expected in ((210.0, 290.0), (290.0, 380.0), (500.0, 100.0), (np.nan, np.nan)):
-        found = find_sphere(image, WIDE, near=np.array(expected))
-        np.testing.assert_array_equal(found, find_sphere(image, WIDE))
 
 
 def test_the_largest_region_counts_unless_another_is_near_where_it_is_sought():

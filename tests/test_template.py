@@ -90,12 +90,6 @@ def test_what_does_not_resemble_it_is_not_taken_for_it():
     assert detect(image, PLAIN, None) is None
 
 
-def test_a_picture_far_larger_than_the_image_is_not_found_in_it():
-    picture = cv2.resize(PICTURE, (1024, 1024))
-    small = np.random.default_rng(1).integers(0, 256, (90, 120), np.uint8)
-    assert template_detector(picture, scales=(1.0, 0.5))(small, PLAIN, None) is None
-
-
 def test_an_image_that_is_smaller_than_the_template_does_not_show_it():
     assert template_detector(SMALL)(np.zeros((40, 40, 3), np.uint8), PLAIN, None) is None
 

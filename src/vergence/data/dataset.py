@@ -21,8 +21,6 @@ from vergence.errors import VergenceError, counted
 from vergence.files import read_bytes
 from vergence.findings import Finding
 
-MAX_IMAGE_BYTES = 256 * 2**20
-"""Largest image file; 50 million pixels of 16 bits in three colours have 300 MB unpacked."""
 IMAGE_FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "PPM", "WEBP")
 UNREADABLE = f"is not a readable image ({', '.join(IMAGE_FORMATS)}), or far too large"
 MAX_GAP_S = 0.2
@@ -111,7 +109,7 @@ class Dataset:
         name, stated = self.files[camera][row], self.description.cameras[camera]
         if name is None:
             return None
-        content = read_bytes(self.folder / name, MAX_IMAGE_BYTES)
+        content = read_bytes(self.folder / name, 256 * 2**20)  # unpacked, 50 megapixels have 300 MB
         try:
             with warnings.catch_warnings():  # of odd metadata
                 warnings.simplefilter("ignore")

@@ -28,8 +28,6 @@ from vergence.geometry.neck import NECK_JOINTS
 
 MOVED_RAD = 0.01
 """Smallest turn between rows that counts as motion; above the noise of encoders."""
-MAX_DESCRIPTION_BYTES = 2**20
-"""Largest dataset.json; 64 cameras with intrinsics have 50 kB."""
 
 
 def load_dataset(folder: str | Path) -> Dataset:
@@ -50,7 +48,7 @@ def load_dataset(folder: str | Path) -> Dataset:
         "a description of a dataset",
         _description,
         parse_json,
-        most_bytes=MAX_DESCRIPTION_BYTES,
+        most_bytes=2**20,  # 64 cameras with intrinsics have 50 kB
     )
     table = read_table(folder / FRAMES, description)
     poses, moving = description.eye_motion == "poses", table.whole_numbers(MOVING, 1) == 1

@@ -33,17 +33,9 @@ from vergence.geometry.se3 import rigid_poses
 
 MAX_DELAY_S = 1.0
 """Largest time between an image and its joint reading [s]; more means that the clocks differ."""
-MAX_TIME_S = 1e11
-"""Larger than any time since 1970 in seconds."""
-MAX_SPAN_S = 1e7
-"""Longest recording [s], a hundred days; a longer one has another unit."""
-MAX_NECK_MOTION_RAD = 0.02
-"""Largest motion of the neck among rows of one placement; chosen above the noise of encoders."""
 # float() and int() also accept 1_000 and digits of other scripts.
 NUMBER = re.compile(r"[-+]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][-+]?[0-9]+)?")
 WHOLE_NUMBER = re.compile(r"[0-9]{1,10}")
-MAX_TABLE_BYTES = 32 * 2**20
-"""Largest frames.csv; 100,000 rows of ten columns have 10 MB."""
 MAX_ROWS = 100_000
 """Most rows: an hour at 30 Hz."""
 MAX_COLUMNS = 1000
@@ -93,7 +85,7 @@ def _number(text: str) -> float:
 
 def read_table(path: Path, description: Description) -> Table:
     """Read the rows that are not blank, and check the columns."""
-    content = read_bytes(path, MAX_TABLE_BYTES)
+    content = read_bytes(path, 32 * 2**20)  # 100,000 rows of ten columns have 10 MB
     rows: dict[int, list[str]] = {}
     try:
         reader = csv.reader(StringIO(content.decode("utf-8-sig"), newline=""), strict=True)
@@ -138,7 +130,8 @@ def time_stamps(table: Table) -> tuple[Array, Array]:
     """Parse the time stamps of images and joint readings, (N,) each [s]."""
     names = [TIME, JOINT_TIME]
     times = table.numbers(names)
-    far = (np.abs(times) > MAX_TIME_S) | (np.abs(times - times[0]) > MAX_SPAN_S)
+    # In seconds no time since 1970 is larger, and no recording as long as a hundred days.
+    far = (np.abs(times) > 1e11) | (np.abs(times - times[0]) > 1e7)
     for k, n in np.argwhere(far).tolist():
         raise VergenceError(
             f"{table.where(k)}: {names[n]} = {table.columns[names[n]][k]} is no time in seconds of "
@@ -197,7 +190,8 @@ def placements(neck_angles: Array, table: Table) -> np.ndarray:
     placement = np.where(stated < 0, stated.max() + np.cumsum(stated < 0), stated)
     _, first, group = np.unique(placement, return_index=True, return_inverse=True)
     motion = np.abs(neck_angles - neck_angles[first[group]])
-    for k in np.flatnonzero((motion > MAX_NECK_MOTION_RAD).any(axis=1)).tolist():
+    moved = (motion > 0.02).any(axis=1)  # above the noise of encoders
+    for k in np.flatnonzero(moved).tolist():
         raise VergenceError(
             f"{table.where(k)}: {NECK_JOINTS[motion[k].argmax()]} has moved by "
             f"{motion[k].max():.3f} rad since line {table.lines[first[group][k]]}, so the board is "

@@ -16,14 +16,8 @@ import numpy as np
 
 from vergence.arrays import Array
 
-GATE_CHI2 = 60.0
-"""Normalised innovation squared above which a measurement starts a new track; its mean is 3."""
-_MEMORY = 90
-"""Number of measurements over which the innovation ratio is averaged: 3 s at 30 Hz."""
 _PRIOR_COUNT = 5.0
 """Weight of the prior ratio 1 [measurements]."""
-_PARABOLA_S = 0.2
-"""Maximum time over which a parabola follows a motion [s]."""
 
 
 @dataclass(frozen=True)
@@ -127,12 +121,13 @@ def fuse(
     covariance: Array,
     *,
     motion: MotionModel,
-    gate_chi2: float = GATE_CHI2,
+    gate_chi2: float = 60.0,
 ) -> Track:
     """Predict and update a track; start a new one without a track, or if the gate rejects.
 
     The measurement is a point (3,) [m] with the covariance (3, 3) [m^2] of its total error. The
-    gate uses this covariance, the update the covariance times the innovation ratio.
+    gate limits the normalised innovation squared, whose mean is 3 by this covariance; the update
+    uses the covariance times the innovation ratio.
     """
     known = InnovationRatio() if track is None else track.ratio
     ratio = update_ratio(known, time_s, point, covariance)
@@ -148,7 +143,8 @@ def update_ratio(
 ) -> InnovationRatio:
     """Update the innovation ratio by a measurement (3,) [m], covariance (3, 3) [m^2]."""
     recent = (*ratio.recent, (time_s, point))[-3:]
-    if len(ratio.recent) < 3 or time_s - ratio.recent[0][0] > _PARABOLA_S:
+    # A parabola follows a motion over 0.2 s.
+    if len(ratio.recent) < 3 or time_s - ratio.recent[0][0] > 0.2:
         return replace(ratio, recent=recent)
     times = np.array([time for time, _ in ratio.recent])
     gaps_s = times[:, None] - times + np.eye(3)  # the diagonal must not be zero
@@ -156,5 +152,5 @@ def update_ratio(
     weights = np.prod(ahead / gaps_s, axis=1)  # Lagrange's, to extrapolate the parabola
     gap = point - weights @ np.array([past for _, past in ratio.recent])
     found = gap @ np.linalg.solve(covariance, gap) / (len(gap) * (1 + weights @ weights))
-    fade = 1 - 1 / _MEMORY
+    fade = 1 - 1 / 90  # over 90 measurements, 3 s at 30 Hz
     return InnovationRatio(recent, fade * ratio.total + float(found), fade * ratio.count + 1)

@@ -32,8 +32,6 @@ ImageSide = Annotated[int, Field(gt=0, le=MAX_IMAGE_PX)]
 """The width or height of an image."""
 MAX_NUMBER = 1e12
 """Largest number in the matrix and the distortion; with larger ones projections overflow."""
-_GRID = 16
-"""Pixels along each axis of the image in `pixel_grid`."""
 
 
 def check_image_size(width: int, height: int) -> None:
@@ -189,8 +187,8 @@ def displaced_by_distortion(camera: Camera) -> Array:
 
 
 def pixel_grid(camera: Camera) -> Array:
-    """Spread pixels (N, 2) evenly over an image."""
-    u, v = np.meshgrid(*((np.arange(_GRID) + 0.5) / _GRID * n - 0.5 for n in camera.size))
+    """Spread 16 x 16 pixels (256, 2) evenly over an image."""
+    u, v = np.meshgrid(*((np.arange(16) + 0.5) / 16 * n - 0.5 for n in camera.size))
     return np.stack([u.ravel(), v.ravel()], axis=1)
 
 

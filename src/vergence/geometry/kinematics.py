@@ -42,8 +42,6 @@ MAX_JOINTS = 20
 GEARED = 3.0
 """Ratio of the factors of readings from which one of them stands before a gear, so that its noise
 is of another size. A reading of vergence, which turns each eye by its half, does not."""
-LEAST_APART_M = 1e-3
-"""Distance of parallel axes below which they count as one."""
 
 
 def pan_tilt(eye: Side, **errors: float) -> tuple[Joint, Joint]:
@@ -126,7 +124,7 @@ def _check_joints(whose: str, joints: tuple[Joint, ...], readings: tuple[str, ..
             )
     for before, joint in pairwise(joints):
         distance = common_normal(before, joint).parallel_m
-        if distance is not None and distance < LEAST_APART_M:
+        if distance is not None and distance < 1e-3:  # m; no two joints are built so
             raise ValueError(
                 f"joints {before.name} and {joint.name} of the {whose} have the same axis; give "
                 "one joint with the readings of both, or by `point_m` where each axis is"

@@ -34,8 +34,6 @@ PINHOLE = ("fx", "fy", "cx", "cy")
 Coefficients = tuple[float, ...]
 _SMALLEST_RADIUS = 1e-9
 """Below it a fisheye lens is linear to machine precision."""
-_LARGEST_TANGENT = 100.0
-"""Tangent of the angle from the axis up to which a rational lens is inverted: 89.4 degrees."""
 
 
 def distort(model: CameraModel, k: Coefficients, x: Array, y: Array) -> tuple[Array, ...]:
@@ -146,8 +144,8 @@ def _table(model: CameraModel, k: Coefficients) -> tuple[Array, Array]:
     if model == "fisheye":
         theta = np.linspace(0, min(np.arctan(np.sqrt(end)), np.pi / 2), 500)
         return _radius(k, theta), theta
-    # Short of a pole: on it the radius would be infinite, of either sign.
-    largest = min((1 - 1e-9) * np.sqrt(end), _LARGEST_TANGENT)
+    # Up to 89.4 degrees, and short of a pole: on it the radius would be infinite, of either sign.
+    largest = min((1 - 1e-9) * np.sqrt(end), 100.0)
     # Even in the angle: a lens is smooth in it.
     r = np.tan(np.linspace(0, np.arctan(largest), 500))
     rational = (*k[:2], 0.0, 0.0, *k[4:])

@@ -15,11 +15,6 @@ from vergence.vision.corner_refinement import HALF_WIDTH_PX, edge_distances, ref
 from vergence.vision.exposure import grey_levels
 from vergence.vision.marker_layout import contradicts, marker_pairs
 
-CLEARANCE_FRACTION = 0.4
-"""Length of a corner's strips over the distance to the nearest other edge. Above 0.5, neighbours
-share pixels: at 0.6 their errors correlate by 0.35 along a row."""
-_PLACES = 0.2, 0.35, 0.5, 0.65, 0.8
-"""Where squares are sampled, over their sides; some places lie on the frames of markers."""
 _NARROW = 0.5
 """Least width of the outermost squares, in squares: that of many printed boards."""
 _CLEAR = 0.25
@@ -75,7 +70,7 @@ def _refine_chessboard(grey: np.ndarray, detected: np.ndarray, board: Chessboard
     distances = edge_distances(rough)
     # Corners within 4 px of another edge would be biased by 0.05 px.
     clear = np.where(distances[..., None] < 4, np.nan, rough)
-    grid = refine_corners(grey, clear, CLEARANCE_FRACTION * distances)
+    grid = refine_corners(grey, clear, distances)
     border = grid[0], grid[-1], grid[:, 0], grid[:, -1]
     if any(np.isnan(line).all() for line in border):
         return None  # OpenCV took the board's outline for a row of corners
@@ -126,7 +121,7 @@ def _detect_charuco(grey: np.ndarray, board: Charuco) -> Array | None:
     distances = edge_distances(grid)  # NaN without neighbours
     grid[np.isnan(distances)] = np.nan
     half_widths = np.clip(margin * distances - 2.4, 0.8, HALF_WIDTH_PX)
-    corners = refine_corners(grey, grid, CLEARANCE_FRACTION * distances, half_widths).reshape(-1, 2)
+    corners = refine_corners(grey, grid, distances, half_widths).reshape(-1, 2)
     return corners if np.isfinite(corners).any() else None
 
 
@@ -176,7 +171,8 @@ def is_chequered(grey: np.ndarray, grid: Array) -> bool:
 
     Only neighbours are compared, since the light may fall off over the board.
     """
-    steps = np.array([_alternation(grey, grid, at) for at in product(_PLACES, _PLACES)])
+    places = product((0.2, 0.35, 0.5, 0.65, 0.8), repeat=2)  # some lie on the frames of markers
+    steps = np.array([_alternation(grey, grid, at) for at in places])
     medians = np.median(steps, axis=1)
     clear = _CLEAR * contrast(grey, grid)
     if not ((medians > clear).all() or (medians < -clear).all()):

@@ -17,9 +17,6 @@ from vergence.geometry.se3 import boxplus, known_poses, pose, rotation
 
 LEAST_CORNERS = 6
 """Fewest corners that determine a board's pose reliably."""
-POSE_LEVEL_PX = 1e-2
-"""Unit of the errors of board poses [px]: far below any corner's noise, so that fits converge to
-1e-9 rad."""
 
 
 def seen_corners(corners: Array) -> np.ndarray:
@@ -171,6 +168,7 @@ def refined_poses(camera: Camera, corners: Array, points: Array, T: Array) -> tu
     if known.any():
         views = BoardViews(corners=corners[known], points=points, camera=camera)
         start = Variables({}, board_latent(T[known]))
-        found = least_squares([views], start, levels={"corners": POSE_LEVEL_PX})
+        # Far below any corner's noise [px], so that fits converge to 1e-9 rad.
+        found = least_squares([views], start, levels={"corners": 1e-2})
         T[known], squares[known] = found.x.latent.value, (found.errors[0] ** 2).sum(axis=1)
     return T, squares

@@ -13,28 +13,25 @@ from scipy.ndimage import map_coordinates, spline_filter
 
 from vergence.arrays import Array
 
-LENGTHS_PX = 2, 10
-"""Smallest and largest length of the strips to either side of a corner [px]."""
 HALF_WIDTH_PX = 2.0
 """Half width of the strips [px]: on drawn boards 3 errs more, and 1 is more sensitive to noise."""
-_ALONG, _ASIDE = np.linspace(-1, 1, 15), np.linspace(-1, 1, 5)
-"""Samples along and across a strip, over its length and its half width."""
 MAX_SHIFT_PX = 1.5
 """Largest distance of a saddle point from the initial corner, and largest step [px]."""
 
 
 def refine_corners(
-    grey: np.ndarray, grid: Array, lengths_px: Array, half_widths_px: Array | float = HALF_WIDTH_PX
+    grey: np.ndarray, grid: Array, edges_px: Array, half_widths_px: Array | float = HALF_WIDTH_PX
 ) -> Array:
     """Move a board's corners (rows, columns, 2) [px] to nearby saddle points of the grey levels.
 
-    Corners are right to about a pixel, NaN where unknown. The strips along the edges have lengths
-    (rows, columns), clipped to LENGTHS_PX, and half widths (rows, columns), or one for all. NaN for
-    a corner without a clear saddle point, near the image's border, or without a neighbour in its
-    row or its column.
+    Corners are right to about a pixel, NaN where unknown. Given are `edge_distances` (rows,
+    columns), and half widths of the strips (rows, columns), or one for all. NaN for a corner
+    without a clear saddle point, near the image's border, or without a neighbour in its row or its
+    column.
     """
     shape = grid.shape
-    lengths = np.clip(np.nan_to_num(lengths_px), *LENGTHS_PX).ravel()
+    # With strips longer than half the distance to the next edge neighbours would share pixels.
+    lengths = np.clip(np.nan_to_num(0.4 * edges_px), 2, 10).ravel()
     half_widths = np.broadcast_to(half_widths_px, shape[:2]).ravel()
     strips = _strips(grid, lengths, half_widths)
     no_curvature = np.zeros((lengths.size, 2, 3))
@@ -135,8 +132,9 @@ def _strips(grid: Array, lengths_px: Array, half_widths_px: Array) -> Array:
         edge = np.nan_to_num(after) - np.nan_to_num(before)
         length = np.linalg.norm(edge, axis=-1, keepdims=True)
         edge = (edge / np.where(length > 0, length, np.nan)).reshape(-1, 1, 1, 2)
-        along = lengths_px[:, None, None, None] * _ALONG[:, None, None] * edge
-        aside = half_widths_px[:, None, None, None] * _ASIDE[:, None] * edge[..., ::-1] * (-1, 1)
+        along = lengths_px[:, None, None, None] * np.linspace(-1, 1, 15)[:, None, None] * edge
+        across = half_widths_px[:, None, None, None] * np.linspace(-1, 1, 5)[:, None]
+        aside = across * edge[..., ::-1] * (-1, 1)
         strips.append((along + aside).reshape(len(edge), -1, 2))
     return np.concatenate(strips, axis=1)
 

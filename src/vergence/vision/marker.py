@@ -15,10 +15,6 @@ from vergence.geometry.camera import Camera, normalise, project
 from vergence.vision.detector import Detection, Detector, windows
 from vergence.vision.exposure import grey_levels
 
-_LEAST_STD_PX, _STD_MODULES = 0.05, 0.6
-"""Standard deviation of a marker's centre [px]: a floor, and a part in inverse proportion to the
-width of a module [px]. Errors at a noise of 3 grey levels are smaller (tests/test_marker.py)."""
-
 
 def marker_detector(dictionary: str, marker_id: int) -> Detector:
     """Make a detector of the centre of one marker.
@@ -51,7 +47,8 @@ def marker_detector(dictionary: str, marker_id: int) -> Detector:
                 corners = np.add(largest.reshape(4, 2), [columns.start, rows.start], dtype=float)
                 module_px = np.sqrt(cv2.contourArea(largest)) / modules
                 centre = _centre(corners, camera)
-                std_px = float(np.hypot(_LEAST_STD_PX, _STD_MODULES / module_px))
+                # Above the errors at a noise of 3 grey levels: see tests/test_marker.py.
+                std_px = float(np.hypot(0.05, 0.6 / module_px))
                 return None if centre is None else Detection(centre, std_px)
         return None
 

@@ -32,14 +32,8 @@ _ERROR_PER_MISFIT = 5.0
 _WHOLE_STD_PX = float(np.hypot(STD_PX, 0.1 * _ERROR_PER_MISFIT))
 """Deviation above which a sphere counts as occluded [px]. The misfit is 0 for drawn whole spheres,
 and 0.3 px where 15 % of the diameter are hidden (tests/test_sphere.py)."""
-_EDGE_PX = 1.6
-"""Half width of the rim before the blur of the image is estimated [px]: that of a sharp camera."""
 _CONTRAST = np.array([1.0, -0.5, -0.5])
 """Weights of the colours in the contrast of the sphere's colour to the mean of the others."""
-_COVER_STD = 0.5
-"""Prior standard deviation of a pixel's coverage about that of the previous outline."""
-_NEARBY_PX, _NEARBY_STD_PX = (9, 9), 1.0
-"""Support and standard deviation of the Gaussian average of the background next to the rim [px]."""
 _FITTED_PIXELS = 1000
 """Number of inner pixels to which the shading is fitted at most; limits the time."""
 
@@ -140,7 +134,8 @@ def _centre(
         return nowhere
     usual = float(np.median(contrast[coloured]))
     cover = (contrast > 0.5 * usual).astype(float)
-    blur_px, outline = _EDGE_PX, _outline(unit, *cone(cover))
+    # Half width of the rim in the image of a sharp camera [px].
+    blur_px, outline = 1.6, _outline(unit, *cone(cover))
     for _ in range(2):  # a third time moves the centre by some thousandths of a pixel
         cover = _coverage(window, *outline, blur_px)
         if cover.sum() < 1:
@@ -205,7 +200,8 @@ def _coverage(window: np.ndarray, outward: Array, normals: np.ndarray, edge_px: 
     measured = ((window[rim] - background) * weights).sum(axis=1)
     cover = (outward < 0).astype(float)
     information = (step * weights).sum(axis=1)
-    cover[rim] = (measured + expected / _COVER_STD**2) / (information + _COVER_STD**-2)
+    prior = 0.5**-2  # of the coverage about that of the previous outline
+    cover[rim] = (measured + prior * expected) / (information + prior)
     return cover
 
 
@@ -254,10 +250,10 @@ def _background(window: np.ndarray, outside: np.ndarray, rim: np.ndarray) -> tup
 
 
 def _nearby(values: np.ndarray, where: np.ndarray) -> np.ndarray:
-    """Average values (H, W, K) over the pixels of a mask (H, W) near each pixel; 0 without any."""
+    """Average values (H, W, K) with a Gaussian of 1 px over a mask (H, W); 0 beyond its support."""
     weight = where.astype(np.float32)[..., None]
-    total = cv2.GaussianBlur(weight, _NEARBY_PX, _NEARBY_STD_PX)[..., None]
-    return cv2.GaussianBlur(values * weight, _NEARBY_PX, _NEARBY_STD_PX) / np.maximum(total, 1e-12)
+    total, sums = (cv2.GaussianBlur(each, (9, 9), 1.0) for each in (weight, values * weight))
+    return sums / np.maximum(total[..., None], 1e-12)
 
 
 def _shading(window: np.ndarray, normals: np.ndarray, inside: np.ndarray) -> np.ndarray:

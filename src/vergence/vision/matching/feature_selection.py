@@ -12,12 +12,6 @@ from vergence.vision.matching.turned_views import whole_windows
 
 _FEATURES = 1000
 """Number of features to select; with a third fewer, depth is up to a fifth worse in Fig. 6."""
-_ABOVE_NOISE, _BELOW_TEXTURE = 10.0, 0.03
-"""A cell without texture has squared gradients below both: this multiple of those of the weakest
-twentieth of the cells, and this share of those of the strongest."""
-_CELL_LIMITS_PX = 6, 24
-"""Limits of a cell's side [px]: below, windows are nearly the same; above, features have too few
-neighbours for `relief_around`."""
 _NEIGHBOURS = 8
 """Number of neighbours that show the surface around a match; twelve give the same depth."""
 _SURFACE_PX = 15.0
@@ -41,7 +35,7 @@ def best_of_cells(view: np.ndarray, inside: np.ndarray) -> Array:
     if not len(best):
         return np.empty((0, 2))
     weak, strong = best[[len(best) // 20, -1 - len(best) // 20]]
-    least = min(_ABOVE_NOISE * weak, _BELOW_TEXTURE * strong)
+    least = min(10 * weak, 0.03 * strong)  # of a cell without texture the noise is below both
     textured = np.count_nonzero(best > least) / len(best)
     cells = _cells(smaller, side_px * np.sqrt(textured))
     rows, height, columns, width = cells.shape
@@ -55,8 +49,8 @@ def best_of_cells(view: np.ndarray, inside: np.ndarray) -> Array:
 
 def _cells(values: np.ndarray, side_px: float) -> np.ndarray:
     """Divide values (H, W) into cells of about this side: (rows, height, columns, width)."""
-    smallest, largest = (limit / 2 for limit in _CELL_LIMITS_PX)
-    side = min(max(float(side_px), smallest), largest)
+    # Below 6 px windows are nearly the same, above 24 px features have too few neighbours.
+    side = min(max(float(side_px), 6 / 2), 24 / 2)
     # Height and width are whole pixels with about the wanted area.
     height = round(side)
     width = round(side**2 / height)

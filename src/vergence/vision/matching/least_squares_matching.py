@@ -38,12 +38,6 @@ _DIFFERENCES = np.array(
 ) / np.array([1, REACH, REACH, *3 * [REACH**2]], np.float32).reshape(-1, 1)
 """(6, 9): coefficients of 1, x, y, x^2, x y and y^2 from the values at the corners, the middles of
 the edges and the middle of a window, row by row."""
-_INFLATION = 4.0
-"""Variance inflation of a displacement (design effect): interpolation and blur correlate errors
-over about two pixels."""
-_SLOPE_STD = 0.1
-"""Prior standard deviation of the change of the displacement per pixel: that of a surface inclined
-by 45 degrees, ten baselines away."""
 _LEAST_GREY = 0.5
 """Standard deviation of the difference of two pixels by rounding [grey levels]."""
 
@@ -91,7 +85,8 @@ def match_windows(
     # With the slopes of the mean of both windows one step is exact to the second order.
     by_state = _slopes((template + contrast * shown) / 2, along)
     H = by_state @ np.swapaxes(by_state, 1, 2)
-    prior = np.diag(np.array([0, 0, 1, 1], np.float32)) / _SLOPE_STD**2
+    # The displacement changes by 0.1 px per pixel on a surface at 45 degrees, ten baselines away.
+    prior = np.diag(np.array([0, 0, 1, 1], np.float32)) / 0.1**2
     difference = contrast * other - grey
     whole = H + _variance(difference)[..., None] * prior + 1e-3 * np.eye(4, dtype=np.float32)
     # A shift (2), and its change per pixel in x and y.
@@ -205,6 +200,7 @@ def _covariance(
     moved = (by_pixel.reshape(-1, len(_IN_PARTS)) @ _IN_PARTS).reshape(len(H), 2, -1)
     # Nine sums, less the five degrees of freedom of the estimate and the mean.
     of_parts = moved @ np.swapaxes(moved, 1, 2) * (_PARTS**2 / (_PARTS**2 - 5))
-    covariance = (_INFLATION * independent + of_parts) / 2
+    # Interpolation and blur correlate errors over about two pixels each way: variance times 4.
+    covariance = (4 * independent + of_parts) / 2
     # Interpolation and perspective leave 0.01 px without noise.
     return covariance.astype(float) + 0.01**2 * np.eye(2), clear

@@ -19,13 +19,6 @@ from vergence.vision.matching.feature_selection import best_of_cells, relief_aro
 from vergence.vision.matching.least_squares_matching import REACH, match_windows
 from vergence.vision.matching.turned_views import TurnedViews, on_map, turned_views, whole_windows
 
-_WINDOW_PX = 9
-"""Side of the tracker's windows [px]; 11 take half as long again, for 4 % more matches."""
-_ACROSS = 0.2
-"""Displacement across the epipolar line over the relief; fitted to rendered images."""
-_NEAREST, _BEYOND = 1 / 3, 1 / 32
-"""Largest displacement over the image's width, forwards and, by a wrong prediction, backwards."""
-
 
 @dataclass(frozen=True, eq=False)
 class Matches:
@@ -122,7 +115,8 @@ def _matched(views: TurnedViews, at: Array, depths_m: Array | None) -> tuple[Mat
     covariance = by_view @ matched.covariance @ np.swapaxes(by_view, 1, 2)
     # Matches with a deviation above 0.7 px carry little information for their time.
     good = matched.good & (np.linalg.eigvalsh(covariance)[:, 1] < 0.7**2)
-    covariance += ((_ACROSS * relief) ** 2)[:, None, None] * np.eye(2)
+    # Displacement across the epipolar line, as fitted to rendered images.
+    covariance += ((0.2 * relief) ** 2)[:, None, None] * np.eye(2)
     column, row = at[good].astype(int).T
     left = np.stack([plane[row, column] for plane in views.maps[0]], axis=-1).astype(float)
     return Matches(left, pixels[good], covariance[good]), kept[good]
@@ -164,7 +158,7 @@ def _track(
     if not len(at):
         return at, np.zeros(0, bool)
     options = {
-        "winSize": (_WINDOW_PX, _WINDOW_PX),
+        "winSize": (9, 9),  # px; 11 take half as long again, for 4 % more matches
         "flags": cv2.OPTFLOW_USE_INITIAL_FLOW,
         # Least squares needs no better start.
         "criteria": (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 5, 0.1),
@@ -207,7 +201,8 @@ def inverse_depths(
         cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.float32)
         for image in (first, second)
     )
-    planes = np.arange(-round(_BEYOND * size[0]), round(_NEAREST * size[0]) + 1)
+    # Up to a third of the width forwards and, by a wrong prediction, a 32nd backwards.
+    planes = np.arange(-round(size[0] / 32), round(size[0] / 3) + 1)
     planes = planes * (step / by_inverse_depth)
     centre = (middle + 0.5) / step - 0.5  # the principal point in the small images
     difference = np.empty((len(planes), *a.shape), np.float32)
