@@ -1,9 +1,8 @@
 """A head as a vector of named parameters: what is estimated, and what covariances speak of.
 
-For each camera fx, fy, cx, cy [px], the coefficients of its lens model (see geometry.lens) and the
-6 increments of T_eye_cam; the 6 increments of T_rbase_lbase; for each eye the errors of its joints
-(`joints.joint_parameters`), such as left.pan_gain; the time offset [s]. Poses change by
-`se3.boxplus`: rotation [rad], then translation [m], along the axes of the frame they map into.
+For each camera the intrinsics (`camera.intrinsics_names`) and the increments of T_eye_cam; those of
+T_rbase_lbase; for each eye the errors of its joints (`joints.joint_parameters`), such as
+left.pan_gain; the time offset [s]. Poses change by `se3.boxplus`.
 """
 
 from __future__ import annotations
@@ -131,24 +130,20 @@ def change_between(
 
 def _apart(head: HeadCalibration, reference: HeadCalibration) -> Array:
     """Compute the change of all parameters from a reference to a head: see `boxminus`."""
-    others = {name: reference.camera(name) for name in head.cameras}
+    parts = []
     for name, mounted in head.cameras.items():
-        models = mounted.intrinsics.model, others[name].intrinsics.model
-        if models[0] != models[1]:
+        other = reference.camera(name)
+        lens, other_lens = mounted.intrinsics, other.intrinsics
+        if lens.model != other_lens.model:
             raise VergenceError(
-                f"{name} has a {models[0]} lens here and a {models[1]} one there: coefficients of "
-                "different lens models cannot be compared."
+                f"{name} has a {lens.model} lens here and a {other_lens.model} one there: "
+                "coefficients of different lens models cannot be compared."
             )
-    values = _vector(head) - _vector(replace(reference, cameras=others))
-    now, before = (
-        np.stack([*(mounted.T_eye_cam for mounted in cameras.values()), T_rbase_lbase])
-        for cameras, T_rbase_lbase in (
-            (head.cameras, head.T_rbase_lbase),
-            (others, reference.T_rbase_lbase),
-        )
-    )
-    values[np.isnan(values)] = se3.boxminus(now, before).ravel()
-    return values
+        parts.append(lens_vector(lens) - lens_vector(other_lens))
+        parts.append(se3.boxminus(mounted.T_eye_cam, other.T_eye_cam))
+    parts.append(se3.boxminus(head.T_rbase_lbase, reference.T_rbase_lbase))
+    parts.append(np.subtract(_joint_values(head), _joint_values(reference)))
+    return np.concatenate([*parts, [head.time_offset_s - reference.time_offset_s]])
 
 
 def boxminus(head: HeadCalibration, reference: HeadCalibration) -> dict[str, float]:
@@ -163,20 +158,18 @@ def boxminus(head: HeadCalibration, reference: HeadCalibration) -> dict[str, flo
 
 def parameter_values(head: HeadCalibration) -> dict[str, float | None]:
     """Collect by name the value of each parameter; None for those of poses."""
-    values = [None if np.isnan(value) else value for value in _vector(head).tolist()]
+    pose, lenses = [None] * len(POSE), [lens_vector(c.intrinsics) for c in head.cameras.values()]
+    values = [value for lens in lenses for value in (*lens.tolist(), *pose)]
+    values += [*pose, *_joint_values(head), head.time_offset_s]
     return dict(zip(parameter_names(head), values, strict=True))
 
 
-def _vector(head: HeadCalibration) -> Array:
-    """Collect the values (c,) of the parameters; NaN for those of poses."""
-    pose = np.full(len(POSE), np.nan)
-    own = [part for each in head.cameras.values() for part in (lens_vector(each.intrinsics), pose)]
-    axes = [
+def _joint_values(head: HeadCalibration) -> list[float]:
+    return [
         joint_value(head.kinematics.eyes[eye][k], name)
         for eye in EYES
         for k, name in head.kinematics.parameters[eye]
     ]
-    return np.concatenate([*own, pose, axes, [head.time_offset_s]])
 
 
 def redundant_offsets(kinematics: Kinematics) -> set[str]:
@@ -192,9 +185,8 @@ def redundant_offsets(kinematics: Kinematics) -> set[str]:
 def without_offsets(head: HeadCalibration) -> HeadCalibration:
     """Move the offsets of the first and last joints into the bases and mountings.
 
-    Rz(pan + o) = Rz(o) Rz(pan) turns the base frame; an offset of tilt, whose axis is fixed behind
-    pan, turns the mountings of the cameras. Two calibrations can be compared only in the same
-    choice, and this is the one that bundle adjustment makes.
+    Rz(pan + o) = Rz(o) Rz(pan) turns the base frame; an offset of tilt turns the mountings of the
+    cameras. No image shows the difference, and bundle adjustment makes this choice.
     """
     eyes, bases, mounts = {}, {}, {}
     for eye in EYES:
