@@ -269,7 +269,7 @@ def test_readings_keep_the_ratio_of_noise_with_which_they_were_calibrated():
 
 def test_a_head_whose_joints_were_not_calibrated_is_refused():
     measured = Accuracy("bundle", joint_std=(1e-3, 1e-4), eye_motion="poses")
-    with pytest.raises(VergenceError, match="nothing is known of its joints"):
+    with pytest.raises(VergenceError, match="calibrated with measured eye poses"):
         initial_state(replace(head_of(0), accuracy=measured))
 
 
