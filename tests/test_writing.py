@@ -1,7 +1,6 @@
 """A file is whole under its final name, whoever else writes it and whenever a run is stopped."""
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -26,16 +25,6 @@ from vergence.files import (
     write_whole,
 )
 
-LINES = 20_000
-WRITER = f"""
-import sys
-from pathlib import Path
-from vergence.files import whole_file
-for k in range(50):
-    with whole_file(Path(sys.argv[1])) as part, part.open("w") as file:
-        for _ in range({LINES} // 50):
-            file.write(sys.argv[2] * 50 + "\\n")
-"""
 HELD = """
 import sys, time
 from pathlib import Path
@@ -58,22 +47,6 @@ def start(code: str, *arguments: object) -> subprocess.Popen[str]:
 
 def temporaries(folder: Path) -> list[Path]:
     return sorted(folder.rglob(".*.part"))
-
-
-@pytest.mark.slow
-def test_of_two_processes_that_write_one_file_the_last_wins_whole(tmp_path):
-    target = tmp_path / "a.txt"
-    writers = [start(WRITER, target, letter) for letter in "ab"]
-    seen = set()
-    while any(writer.poll() is None for writer in writers):
-        if target.exists():
-            lines = target.read_text().splitlines()
-            seen.add(lines[0][0])
-            assert len(lines) == LINES // 50
-            assert len(set(lines)) == 1
-    assert [writer.communicate()[1] for writer in writers] == ["", ""]
-    assert seen <= {"a", "b"}
-    assert temporaries(tmp_path) == []
 
 
 @pytest.mark.slow
@@ -179,16 +152,6 @@ def test_what_is_not_finite_is_null_in_json(tmp_path):
     write_json({"a": float("nan"), "b": [1.0, float("-inf")]}, tmp_path / "a.json")
     assert json.loads((tmp_path / "a.json").read_text()) == {"a": None, "b": [1.0, None]}
     assert as_json({"x": 0.1 + 0.2}) == '{\n "x": 0.30000000000000004\n}\n'
-
-
-def test_a_file_that_nobody_may_write_is_refused_before_the_work(tmp_path):
-    check_outputs(tmp_path / "new" / "deeper" / "a.json", None, folder=tmp_path / "results")
-    assert list(tmp_path.iterdir()) == []
-    if os.geteuid() == 0:
-        pytest.skip("root may write everywhere")
-    tmp_path.chmod(0o500)
-    with pytest.raises(VergenceError, match="no permission"):
-        check_outputs(tmp_path / "a.json")
 
 
 def test_an_output_that_is_also_an_input_is_refused(tmp_path):
