@@ -97,7 +97,7 @@ def test_the_command_writes_a_report_with_the_cheapest_head(tmp_path, monkeypatc
     assert "reach 8 mm at 0.6 m" in printed
     written = {path.name for path in (tmp_path / "out").iterdir()}
     assert written == {
-        "chunks", "design.json", "design.png", "properties.png", "report.md", "sweep.npz"
+        "design.json", "design.png", "properties.png", "report.md", "sweep.npz"
     }  # fmt: skip
     found = json.loads((tmp_path / "out" / "design.json").read_text())
     assert found["settings"]["designs"]["baseline_mm"] == [60, 120]

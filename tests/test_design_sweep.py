@@ -1,12 +1,8 @@
-"""Sweeps over designs: sums of their sources, that can be stopped and go on."""
-
-import os
-from pathlib import Path
+"""Sweeps over designs: sums of their sources."""
 
 import numpy as np
 import pytest
 
-from vergence.accuracy import design_sweep as command
 from vergence.accuracy.design_settings import (
     AXES,
     Designs,
@@ -24,7 +20,6 @@ from vergence.accuracy.design_sweep import (
     sweep,
     values_of,
 )
-from vergence.arrays import Array
 
 SMALL = DesignSettings.model_validate(
     {
@@ -44,8 +39,8 @@ SMALL = DesignSettings.model_validate(
 
 
 @pytest.fixture(scope="module")
-def swept(tmp_path_factory: pytest.TempPathFactory):
-    return sweep(SMALL, tmp_path_factory.mktemp("chunks"))
+def swept():
+    return sweep(SMALL)
 
 
 def test_a_sweep_is_the_sum_of_its_sources(swept):
@@ -99,70 +94,8 @@ def test_points_that_no_image_holds_are_left_out():
     assert np.isnan(compute_chunk(first.model_copy(update={"workspace": out}))).all()
 
 
-def test_a_sweep_that_was_stopped_goes_on_without_doing_finished_work_again(
-    swept, tmp_path, monkeypatch
-):
-    computed: list[DesignSettings] = []
-
-    def stopped_after_two(chunk: DesignSettings) -> Array:
-        if len(computed) == 2:
-            raise KeyboardInterrupt
-        computed.append(chunk)
-        return compute_chunk(chunk)
-
-    monkeypatch.setattr(command, "compute_chunk", stopped_after_two)
-    with pytest.raises(KeyboardInterrupt) as stop:
-        sweep(SMALL, tmp_path)
-    said = "2 of 4 parts finished; the same command goes on from there"
-    assert stop.value.__notes__ == [said]
-    kept = sorted(tmp_path.glob("*.f64"))
-    assert len(kept) == 2
-    kept[0].write_bytes(kept[0].read_bytes()[:100])  # as no write of ours leaves a file
-    other = tmp_path / "other"
-    other.mkdir()
-    for file in kept:
-        (other / file.name).write_bytes(bytes(24))
-
-    def counted(chunk: DesignSettings) -> Array:
-        computed.append(chunk)
-        return compute_chunk(chunk)
-
-    monkeypatch.setattr(command, "compute_chunk", counted)
-    steps: list[tuple[int, int]] = []
-    found = sweep(SMALL, tmp_path, progress=lambda _, done, total: steps.append((done, total)))
-    assert len(computed) == 2 + 3  # of four chunks one was whole
-    assert steps == [(1, 4), (2, 4), (3, 4), (4, 4)]
-    np.testing.assert_array_equal(found.worst_m, swept.worst_m)
-    np.testing.assert_array_equal(sweep(SMALL, other).worst_m, swept.worst_m)
-    del computed[5:]
-    wider = SMALL.designs.model_copy(update={"baseline_mm": (60.0, 90.0, 120.0)})
-    sweep(SMALL.model_copy(update={"designs": wider}), tmp_path)
-    assert len(computed) == 5 + 2  # those of the new baseline
-
-
-def test_parts_that_other_code_has_computed_are_computed_again(monkeypatch):
-    first = next(chunks(SMALL))
-    before = command.digest(first)
-    assert command.digest(first) == before
-    monkeypatch.setattr(command, "_code", lambda: "another formula")
-    assert command.digest(first) != before
-
-
-@pytest.mark.parametrize("kind", ["too short", "too long", "pipe"])
-def test_finished_work_of_another_size_is_computed_again(kind: str, tmp_path: Path):
-    file, numbers = tmp_path / "chunk.f64", np.arange(6.0).reshape(2, 3)
-    file.write_bytes(numbers.tobytes())
-    np.testing.assert_array_equal(command.read_chunk(file, (2, 3)), numbers)
-    if kind == "pipe":
-        file.unlink()
-        os.mkfifo(file)
-    else:
-        file.write_bytes(bytes(8 if kind == "too short" else 56))
-    assert command.read_chunk(file, (2, 3)) is None
-
-
 @pytest.mark.slow
-def test_two_processes_give_the_same_numbers(swept, tmp_path):
-    found = sweep(SMALL, tmp_path, jobs=2)
+def test_two_processes_give_the_same_numbers(swept):
+    found = sweep(SMALL, jobs=2)
     np.testing.assert_array_equal(found.worst_m, swept.worst_m)
     np.testing.assert_array_equal(found.mean_m, swept.mean_m)

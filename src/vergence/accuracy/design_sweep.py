@@ -1,16 +1,12 @@
 """A sweep over designs of a head: the accuracy of each, by distance, and the cheapest one.
 
-A chunk has one baseline, focal length and board, and all values of the other properties. Chunks do
-not depend on one another and can be computed anywhere and in any order.
+A chunk has one baseline, focal length and board, and all values of the other properties.
 """
 
 from __future__ import annotations
 
-import hashlib
-import math
 from dataclasses import dataclass
-from functools import cache, partial
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 
@@ -31,8 +27,6 @@ from vergence.accuracy.design_settings import (
     costs,
 )
 from vergence.arrays import Array
-from vergence.errors import VergenceError
-from vergence.files import read_bytes, whole_file
 from vergence.geometry.board import Chessboard
 from vergence.geometry.kinematics import looking_along
 from vergence.parallel import run_tasks
@@ -72,12 +66,6 @@ def located_points(settings: DesignSettings) -> tuple[Array, Array]:
     return points, np.radians(where.off_deg)[off.ravel()]
 
 
-def chunk_shape(settings: DesignSettings) -> tuple[int, ...]:
-    """Compute the shape of the result of `compute_chunk`."""
-    own = (len(getattr(settings.designs, name)) for name in AXES[len(CHUNK_AXES) :])
-    return (2, *own, len(settings.workspace.distances_m))
-
-
 def compute_chunk(settings: DesignSettings) -> Array:
     """Compute worst_m and mean_m of Sweep: (2, views, counts, joint noise, pixel noise, delay, D).
 
@@ -88,8 +76,8 @@ def compute_chunk(settings: DesignSettings) -> Array:
     seen = _sensitivity(settings, points.reshape(-1, 3), np.tile(off, (len(points), 1)))
     held = (seen.offset_px < np.array(where.image_px) / 2).all(axis=1).reshape(points.shape[:2])
     count = held.sum(axis=1)
-    found = np.empty(chunk_shape(settings))
-    shape = found.shape[1:]
+    shape = [len(getattr(designs, name)) for name in AXES[len(CHUNK_AXES) :]]
+    found = np.empty((2, *shape, len(points)))
     for v, c, j, t in np.ndindex(shape[0], shape[1], shape[2], shape[4]):
         noise = noise_mean_square(
             seen,
@@ -128,14 +116,6 @@ def _sensitivity(settings: DesignSettings, points: Array, off: Array) -> Sensiti
         corner_std_px=where.corner_noise_px,
         reading_std=stds.ravel(),
     )
-
-
-def assemble(settings: DesignSettings, found: list[Array]) -> Sweep:
-    """Assemble a sweep from its chunks, in their order."""
-    designs = settings.designs
-    shape = [len(getattr(designs, name)) for name in AXES]
-    worst_m, mean_m = np.moveaxis(np.array(found), 1, 0).reshape(2, *shape, -1)
-    return Sweep(settings, worst_m, mean_m, costs(settings))
 
 
 def cheapest(
@@ -193,59 +173,21 @@ def by_source(settings: DesignSettings, values: dict[str, float], points: Array)
     return np.concatenate([by_noise, seen.calibration / values["views"]])
 
 
-def sweep(
-    settings: DesignSettings,
-    folder: Path,
-    *,
-    jobs: int = 1,
-    progress: Progress = silent,
-) -> Sweep:
-    """Sweep designs: read finished chunks from a folder, and write the others there."""
-    each = list(chunks(settings))
-    files = [folder / f"{digest(chunk)}.f64" for chunk in each]
-    kept = [read_chunk(file, chunk_shape(chunk)) for file, chunk in zip(files, each, strict=True)]
-    found = {k: values for k, values in enumerate(kept) if values is not None}
-    missing = [(k, each[k]) for k in range(len(each)) if k not in found]
-    progress("sweeping designs", len(found), len(each))
+def sweep(settings: DesignSettings, *, jobs: int = 1, progress: Progress = silent) -> Sweep:
+    """Sweep designs, in a number of processes."""
+    tasks = [partial(_numbered, k, chunk) for k, chunk in enumerate(chunks(settings))]
+    found: dict[int, Array] = {}
 
     def keep(result: tuple[int, Array]) -> None:
-        k, values = result
-        with whole_file(files[k]) as part:
-            part.write_bytes(values.tobytes())
-        found[k] = values
-        progress("sweeping designs", len(found), len(each))
+        found.update([result])
+        progress("sweeping designs", len(found), len(tasks))
 
-    try:
-        run_tasks([partial(_numbered, k, chunk) for k, chunk in missing], keep, jobs=jobs)
-    except KeyboardInterrupt as stop:
-        stop.add_note(
-            f"{len(found)} of {len(each)} parts finished; the same command goes on from there"
-        )
-        raise
-    return assemble(settings, [found[k] for k in range(len(each))])
-
-
-def digest(chunk: DesignSettings) -> str:
-    """Hash what a chunk depends on, with the code and without the prices."""
-    text = f"{_code()} {chunk.designs.model_dump_json()} {chunk.workspace.model_dump_json()}"
-    return hashlib.blake2b(text.encode(), digest_size=12).hexdigest()
-
-
-@cache
-def _code() -> str:
-    """Hash this package's source files."""
-    found = hashlib.blake2b(digest_size=12)
-    for file in sorted(Path(__file__).parents[1].rglob("*.py")):
-        found.update(file.read_bytes())
-    return found.hexdigest()
-
-
-def read_chunk(file: Path, shape: tuple[int, ...]) -> Array | None:
-    """Read a finished chunk; None if the file has another size, or cannot be read."""
-    try:
-        return np.frombuffer(read_bytes(file, 8 * math.prod(shape))).reshape(shape)
-    except (VergenceError, ValueError):
-        return None
+    run_tasks(tasks, keep, jobs=jobs)
+    designs = settings.designs
+    shape = [len(getattr(designs, name)) for name in AXES]
+    arrays = np.stack([found[k] for k in range(len(tasks))], axis=1)
+    worst_m, mean_m = arrays.reshape(2, *shape, -1)
+    return Sweep(settings, worst_m, mean_m, costs(settings))
 
 
 def _numbered(k: int, chunk: DesignSettings, progress: Progress) -> tuple[int, Array]:

@@ -92,7 +92,7 @@ def design(
         settings: TOML or JSON file of what is swept, of the workspace and of prices; default:
             those that docs/design_and_plan.md lists. The options below take the place of its
             values.
-        out: Folder of the results; a run that was stopped goes on from what is there.
+        out: Folder of the results.
         accuracy_mm: Accuracy that is wanted: rms error, in the worst direction and posture.
         at_m: Distance of the points for which it is wanted.
         baseline_mm: Distances between the eyes to try.
@@ -116,7 +116,7 @@ def design(
     axes = {name: options[name] for name in AXES if options[name] is not None}
     chosen = merged_settings(settings, axes, at_m=at_m)
     with progress_bars() as progress, results_folder(out):
-        swept = sweep(chosen, out / "chunks", jobs=jobs, progress=progress)
+        swept = sweep(chosen, jobs=jobs, progress=progress)
         return write_design(out, swept, accuracy_m=1e-3 * accuracy_mm, distance_m=at_m)
 
 

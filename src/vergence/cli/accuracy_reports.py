@@ -27,7 +27,7 @@ from vergence.geometry.head import base_pose
 from vergence.geometry.se3 import transform
 
 DESIGN_RESULTS = ("sweep.npz", "design.png", "properties.png", "design.json", REPORT)
-"""Files in the folder of the results, in addition to the chunks."""
+"""Files in the folder of the results."""
 FIRST_ORDER = 0.08
 """Std of a point, relative to its distance, up to which sampled points spread within 2 % of it."""
 
