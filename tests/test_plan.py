@@ -19,8 +19,8 @@ from vergence.accuracy import plan as plan_module
 from vergence.accuracy import plan_information
 from vergence.accuracy.plan import Plan, choose, plan
 from vergence.accuracy.plan_information import (
-    known_of,
     largest_std,
+    scaled_information,
     total_information,
     view_information,
     workspace,
@@ -139,9 +139,8 @@ def test_the_information_of_views_is_that_of_bundle_adjustment(truth, kinematics
 
 
 def test_the_eyes_fixate_the_workspace_and_its_covariance_is_that_of_located_points(calibrated):
-    known = known_of(calibrated)
-    points = workspace(calibrated, pair_names(calibrated), LIMITS, names=known.names)
     pair = pair_names(calibrated)
+    points = workspace(calibrated, pair, LIMITS, names=calibrated.accuracy.parameters)
     left, right = (project_point(calibrated, k, points.joints, points.points) for k in pair)
     inside = (np.abs(points.joints) < LIMITS - 1e-9).all(axis=1)
     assert inside.sum() > 20
@@ -309,8 +308,9 @@ def test_what_a_calibration_holds_fixed_is_known_before_the_planned_views(calibr
     fx, fy = (accuracy.parameters.index(f"left_wide.{name}") for name in ("fx", "fy"))
     C[fy], C[:, fy] = C[fx], C[:, fx]  # a lens with one focal length
     C[fy, fy] = C[fx, fx]
-    known = known_of(replace(calibrated, accuracy=replace(accuracy, covariance=C)))
-    back = np.linalg.inv(known.information) * np.outer(known.scale, known.scale)
+    held = replace(calibrated, accuracy=replace(accuracy, covariance=C))
+    scale, information = scaled_information(held)
+    back = np.linalg.inv(information) * np.outer(scale, scale)
     stds = np.sqrt(np.diag(C))
     np.testing.assert_allclose(back / np.outer(stds, stds), C / np.outer(stds, stds), atol=1e-3)
 

@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike
 
 from vergence.accuracy.plan_information import (
     WorkspacePoints,
-    known_of,
     largest_std,
     marginalise_place,
+    scaled_information,
     total_information,
     view_information,
     workspace,
@@ -94,11 +94,12 @@ def plan(
             f"A plan has one view or more, of the {places} places of the board x {gazes} "
             f"directions of gaze that are tried; found {views}."
         )
-    known = known_of(head)
+    scale, known = scaled_information(head)
+    names = head.accuracy.parameters if head.accuracy else ()
     pair = pair_names(head)
     limits = largest_readings(head.kinematics, limits_rad)
     progress("choosing views", 0, views)  # candidates of a large board take a while
-    points = workspace(head, pair, limits, names=known.names, distances_m=distances_m)
+    points = workspace(head, pair, limits, names=names, distances_m=distances_m)
     rng = np.random.default_rng(seed)
     tried = admissible_views(head, board, limits, rng, places=places, gazes=gazes)
     pixel_px = float(np.sqrt(np.mean(pixel_stds(head, None) ** 2)))
@@ -106,20 +107,20 @@ def plan(
         head,
         board,
         tried,
-        known.names,
-        scale=known.scale,
+        names,
+        scale=scale,
         pixel_std_px=pixel_px or 1e-3,  # for a calibration that states no noise
         joint_stds=reading_stds(head)[None],
     )
-    by_scaled = points.by_parameters * known.scale
-    chosen = choose(known.information, N, tried.placement, by_scaled, views, progress)
+    by_scaled = points.by_parameters * scale
+    chosen = choose(known, N, tried.placement, by_scaled, views, progress)
     chosen = chosen[np.argsort(tried.placement[chosen], kind="stable")]
     taken = tried.take(chosen)
     steps = [
-        known.information + total_information(N[chosen[: k + 1]], taken.placement[: k + 1])
+        known + total_information(N[chosen[: k + 1]], taken.placement[: k + 1])
         for k in range(views)
     ]
-    covariances: Array = np.linalg.inv(np.array([known.information, *steps])).astype(float)
+    covariances: Array = np.linalg.inv(np.array([known, *steps])).astype(float)
     std = largest_std(by_scaled, covariances)
     return Plan(head, board, taken, std[0], std[-1], std[1:].max(axis=1), points)
 

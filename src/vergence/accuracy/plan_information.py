@@ -33,19 +33,12 @@ CORNERS_AT_A_TIME = 20_000
 """Number of corners that are linearised together: their derivatives take 50 MB for each camera."""
 
 
-@dataclass(frozen=True, eq=False)
-class Knowledge:
-    """Information of a calibration about its p estimated parameters, in units of `scale`."""
+def scaled_information(head: HeadCalibration) -> tuple[Array, Array]:
+    """Invert the covariance of a calibration; VergenceError if it states no covariance.
 
-    names: tuple[str, ...]
-    scale: Array
-    """(p,) standard deviations before the planned views."""
-    information: Array
-    """(p, p)."""
-
-
-def known_of(head: HeadCalibration) -> Knowledge:
-    """Invert the covariance of a calibration; VergenceError if it states no covariance."""
+    Returns the standard deviations (p,) of its parameters, and the information (p, p) in units of
+    these.
+    """
     accuracy = head.accuracy
     if accuracy is None or not accuracy.parameters:
         raise VergenceError(
@@ -59,8 +52,7 @@ def known_of(head: HeadCalibration) -> Knowledge:
     scale = np.sqrt(np.diag(accuracy.covariance))
     # A covariance may hold combinations of parameters fixed.
     values, directions = np.linalg.eigh(accuracy.covariance / np.outer(scale, scale))
-    information: Array = (directions / np.maximum(values, 1e-12)) @ directions.T
-    return Knowledge(accuracy.parameters, scale, information)
+    return scale, (directions / np.maximum(values, 1e-12)) @ directions.T
 
 
 def view_information(
