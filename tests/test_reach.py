@@ -65,7 +65,7 @@ def test_the_hand_reaches_is_servoed_and_closes_as_the_uncertainty_falls():
     stds: list[tuple[float, float]] = []
 
     def keep(state: ReachState) -> None:
-        if state.target is not None and state.measured_s == state.gaze.frame_s:
+        if state.target is not None and state.target.time_s == state.gaze.frame_s:
             stds.append((state.separation_m, target_std_m(SETTINGS, state, state.target)))
 
     head = DrawnHeadWithHand(still, home=SETTINGS.home)

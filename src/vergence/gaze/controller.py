@@ -157,7 +157,7 @@ def _turn_neck(settings: GazeSettings, state: GazeState, eyes: Array, now_s: flo
     calibrated = np.isin(NECK_JOINTS, settings.calibration.neck.names)
     away = np.where(calibrated, [tilt, 0.0, pan], 0.0)  # pitch, roll, yaw
     start_rad, stop_rad = settings.comfort_rad
-    turning = bool(np.abs(away).max() > (stop_rad if state.neck_turning else start_rad))
+    turning = np.abs(away).max() > (stop_rad if state.neck_rate.any() else start_rad)
     top = settings.neck_speed_rad_s
     wanted = np.clip(settings.neck_gain_hz * away, -top, top) if turning else np.zeros(3)
     at = setpoint(state.command, now_s)[NECK]
@@ -169,7 +169,7 @@ def _turn_neck(settings: GazeSettings, state: GazeState, eyes: Array, now_s: flo
     rate = state.neck_rate + np.clip(wanted - state.neck_rate, -change, change)
     blocked = np.isin(settings.joints[NECK], state.stuck)
     blocked |= ((at >= upper) & (rate > 0)) | ((at <= lower) & (rate < 0))
-    return replace(state, neck_turning=turning, neck_rate=np.where(blocked, 0.0, rate))
+    return replace(state, neck_rate=np.where(blocked, 0.0, rate))
 
 
 def _move_eyes(
@@ -259,7 +259,6 @@ def _wait_or_search(settings: GazeSettings, state: GazeState, now_s: float) -> G
             aim=None,
             measured=None,
             neck_rate=np.zeros(3),
-            neck_turning=False,
         )
     if now_s < state.since_s + settings.search_s or now_s < state.landing_s + settings.dwell_s:
         return state

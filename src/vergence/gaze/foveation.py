@@ -111,26 +111,15 @@ def solve_fixation(calibration: HeadCalibration, targets: Mapping[str, Array]) -
 
     The targets are, by camera, points (..., 3) [m] in the base frame of its eye, to be centred on
     the principal point by Gauss-Newton iteration. Eyes that share a joint minimise the sum of their
-    squared errors. Readings are NaN if they move no eye of these cameras, and for points that no
-    posture centres. Raises VergenceError if the head has no such camera.
+    squared errors. Readings are NaN if they move no eye of these cameras, and for points that not
+    all of the eyes can centre. Raises VergenceError if the head has no such camera.
     """
-    kinematics = calibration.kinematics
-    shape = np.broadcast_shapes(*(points.shape[:-1] for points in targets.values()))
-    readings = np.full((*shape, len(kinematics.readings)), np.nan)
-    by_camera = {name: kinematics.used(calibration.camera(name).eye) for name in targets}
-    coupled = len(set().union(*by_camera.values())) < sum(map(len, by_camera.values()))
-    for names in [list(targets)] if coupled else [[name] for name in targets]:
-        used = sorted(set().union(*(by_camera[name] for name in names)))
-        some = {name: np.broadcast_to(targets[name], (*shape, 3)) for name in names}
-        readings[..., used] = _centre(calibration, some, used)
-    return readings
-
-
-def _centre(calibration: HeadCalibration, targets: Mapping[str, Array], used: list[int]) -> Array:
-    """Compute the readings (..., u) of one eye, or of two that share a joint."""
     kinematics, points, cameras = calibration.kinematics, {}, {}
+    used = sorted({r for name in targets for r in kinematics.used(calibration.camera(name).eye)})
+    shape = np.broadcast_shapes(*(points.shape[:-1] for points in targets.values()))
     usable, turns, maps = np.asarray(True), [], []
-    for name, p in targets.items():
+    for name in targets:
+        p = np.broadcast_to(targets[name], (*shape, 3))
         here = np.isfinite(p).all(axis=-1) & (p[..., :2] != 0).any(axis=-1)
         usable = usable & here
         points[name] = np.where(here[..., None], p, [1.0, 0, 0])
@@ -147,8 +136,8 @@ def _centre(calibration: HeadCalibration, targets: Mapping[str, Array], used: li
     reached = _CONVERGED if 2 * len(targets) <= len(used) else 0.1
     settled, front = np.zeros(usable.shape, dtype=bool), usable
     for _ in range(20):  # most points need four steps
-        found = [_off_centre(kinematics, cameras[name], readings, p) for name, p in points.items()]
-        errors, jacobians, fronts = zip(*found, strict=True)
+        seen = [_off_centre(kinematics, cameras[name], readings, p) for name, p in points.items()]
+        errors, jacobians, fronts = zip(*seen, strict=True)
         error = np.concatenate(errors, axis=-1)
         J: Array = np.concatenate(jacobians, axis=-2)[..., used]
         step = (np.linalg.pinv(J) @ error[..., None])[..., 0]
@@ -159,7 +148,9 @@ def _centre(calibration: HeadCalibration, targets: Mapping[str, Array], used: li
         settled &= (np.abs(error) < reached).all(axis=-1)  # the error before this step
         if (settled | ~front).all():
             break
-    return np.where((usable & front & settled)[..., None], readings[..., used], np.nan)
+    found = np.full(readings.shape, np.nan)
+    found[..., used] = np.where((usable & front & settled)[..., None], readings[..., used], np.nan)
+    return found
 
 
 def _off_centre(

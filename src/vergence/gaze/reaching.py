@@ -122,8 +122,6 @@ class ReachState:
     marker, added to the marker by the encoders. None: not measured lately."""
     separation_m: float = np.inf
     """Distance from object to marker at the latest measurement of the target."""
-    measured_s: float = -np.inf
-    """Time of that measurement."""
     aligned: bool = False
     """Whether the hand may leave the standoff for the object."""
 
@@ -200,7 +198,7 @@ def step_reach(
         if frame.time_s >= before.landing_s:  # the eyes are at their set points
             state = _measure_target(settings, state, frame)
     target = None
-    if state.target is not None and now_s - state.measured_s <= settings.lost_s:
+    if state.target is not None and now_s - state.target.time_s <= settings.lost_s:
         target = predict(state.target, now_s, jerk_density=settings.motion.jerk_density)
     else:
         state = replace(state, target=None, separation_m=np.inf, aligned=False)
@@ -267,8 +265,7 @@ def _measure_target(settings: ReachSettings, state: ReachState, frame: Frame) ->
         target = fuse(
             state.target, frame.time_s, marker + difference, covariance, motion=settings.motion
         )
-        separation_m = float(np.linalg.norm(difference))
-        return replace(state, target=target, separation_m=separation_m, measured_s=frame.time_s)
+        return replace(state, target=target, separation_m=float(np.linalg.norm(difference)))
     return state
 
 

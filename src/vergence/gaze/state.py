@@ -207,8 +207,6 @@ class GazeState:
     """Names of the joints that do not follow their commands."""
     searched: int = 0
     """Number of directions searched since the object was lost."""
-    neck_turning: bool = False
-    """Whether the neck is following the eyes."""
     neck_rate: Array = field(default_factory=lambda: np.zeros(3))
     """(3,) velocity of the neck's set points [rad/s]."""
 

@@ -129,11 +129,9 @@ def states_covariance(head: HeadCalibration) -> bool:
 
 def states_noise(head: HeadCalibration) -> bool:
     """Check whether a head states a covariance, or noise of pixels or readings."""
-    accuracy = head.accuracy
-    if accuracy is None:
-        return False
-    of_pixels = accuracy.pixel_std_px is not None or bool(accuracy.camera_std_px)
-    return of_pixels or bool(accuracy.joint_std) or states_covariance(head)
+    stated = head.accuracy or Accuracy("paper")
+    levels = stated.camera_std_px or stated.joint_std or stated.parameters
+    return bool(levels) or stated.pixel_std_px is not None
 
 
 @lru_cache(maxsize=64)
