@@ -178,18 +178,6 @@ def test_repeated_and_missing_frames_are_tolerated():
     assert np.sqrt((done.after(0.6) ** 2).mean()) < 20
 
 
-def test_without_frames_the_motion_stops_and_the_object_counts_as_lost():
-    head = DrawnHead(circling(0.2), dropped=lambda n: n >= 30)
-    done = run(head, 2.0)
-    assert done.phases[29] is GazePhase.PURSUIT
-    assert done.phases[-1] is GazePhase.LOST
-    # The search keeps the limits.
-    for t in np.arange(1.0, 2.0, 0.01):
-        assert (
-            np.abs(head.posture(t)) <= np.abs(JointLimits().range_rad).max(axis=1) + 1e-12
-        ).all()
-
-
 @pytest.mark.slow
 def test_a_hidden_object_is_lost_and_found_again():
     path = circling(0.2)

@@ -131,13 +131,6 @@ def test_a_given_point_is_never_lost():
         assert step_gaze(SETTINGS, state, None, time_s) is state
 
 
-def test_a_frame_that_is_read_twice_counts_once():
-    head, state = seen(SETTINGS, point_at(4, 2, 0.8), 0.2)
-    again = step_gaze(SETTINGS, state, head.last, head.now_s() + 0.01)
-    assert again.command is state.command
-    assert again.track is state.track
-
-
 def test_an_object_is_lost_after_a_time_and_all_stops_and_is_forgotten():
     """Here while the neck turns to it."""
     _, state = seen(WITH_NECK, point_at(28, 0, 0.8), 0.5)

@@ -48,11 +48,6 @@ def test_a_calibration_comes_back_from_its_file_to_the_last_digit(head, file):
     assert file.read_bytes() == file.with_name("again.json").read_bytes()
 
 
-def test_a_head_without_a_neck_travels_through_json(tmp_path: Path):
-    save_head(plain_head(0.09, 280.0), tmp_path / "plain.json")
-    assert load_head(tmp_path / "plain.json").neck.axes.shape == (0, 3)
-
-
 def test_the_head_frame_lies_midway_between_the_eyes_with_the_left_eyes_axes(head):
     left, right = base_pose(head, "left"), base_pose(head, "right")
     np.testing.assert_allclose(left[:3, 3] + right[:3, 3], 0, atol=1e-16)

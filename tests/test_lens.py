@@ -15,7 +15,6 @@ from vergence.geometry.camera import (
     pixel_area,
     project,
     project_jacobians,
-    undistort,
     unproject,
 )
 from vergence.geometry.lens import COEFFICIENTS, CameraModel, reach
@@ -122,16 +121,6 @@ def test_the_area_of_a_pixel_is_the_determinant_of_normalise(seed: int, model: C
     ]
     area = np.linalg.det(np.stack(sides, axis=-1))
     np.testing.assert_allclose(pixel_area(camera, normalise(camera, pixels)), area, rtol=1e-6)
-
-
-def test_a_fisheye_lens_without_coefficients_is_linear_in_the_angle():
-    camera = pinhole(640, 480, 200.0, model="fisheye")
-    angle = np.linspace(0, 1.5, 16)
-    points = np.stack([np.sin(angle), np.zeros(16), np.cos(angle)], axis=1)
-    np.testing.assert_allclose(project(camera, points)[:, 0], 319.5 + 200 * angle, atol=1e-10)
-    # A corrected pixel is that of a pinhole camera.
-    corrected = undistort(camera, project(camera, points))[:, 0]
-    np.testing.assert_allclose(corrected, 319.5 + 200 * np.tan(angle), rtol=1e-11)
 
 
 def test_directions_beyond_90_degrees_are_not_supported():

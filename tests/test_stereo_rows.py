@@ -7,10 +7,9 @@ import numpy as np
 from recordings import CHESSBOARD
 from simulated_head import plain_head
 from test_timing import turning
-from vergence.data.dataset import Frame
+from vergence.data.dataset import Frame, stereo_rows
 from vergence.data.description import DatasetCamera, Description
 from vergence.data.reader import load_dataset
-from vergence.data.stereo_rows import stereo_rows
 from vergence.data.writer import DatasetRow, write_dataset
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.se3 import boxminus

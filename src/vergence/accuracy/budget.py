@@ -16,8 +16,8 @@ import numpy as np
 
 from vergence.accuracy.motions import PERIOD_S, eye_angles
 from vergence.arrays import Array
+from vergence.data.dataset import check_readings_match
 from vergence.data.reader import load_dataset
-from vergence.data.stereo_rows import check_readings_match
 from vergence.errors import VergenceError
 from vergence.geometry.head import (
     HeadCalibration,

@@ -33,9 +33,7 @@ MOVED_RAD = 0.01
 def load_dataset(folder: str | Path) -> Dataset:
     """Read a dataset and check everything except the images, which are read on demand.
 
-    Raises:
-        VergenceError: the dataset is incomplete or implausible; the message names the file and
-            the field or line.
+    VergenceError names the file, and the field or line, that is missing or implausible.
     """
     folder = Path(folder)
     if not os.path.isdir(folder):  # methods of Path raise where a name is too long

@@ -62,10 +62,8 @@ def write_dataset(
     Threads encode them, so that an iterator of rows, in order of time, can go on. `beside` writes
     other files into the temporary folder after the last row.
 
-    Raises:
-        VergenceError: the folder is not empty, or cannot be written; there are no rows; a row has
-            other cameras, image sizes, image types or readings than the description; or
-            `load_dataset` would refuse a row.
+    Raises VergenceError if the folder is not empty or cannot be written, there are no rows, or
+    `load_dataset` would refuse one.
     """
     with whole_folder(Path(folder)) as part:
         (part / "images").mkdir()

@@ -81,23 +81,16 @@ def gaze_angles(
 
     Points (..., 3) [m] are in the left eye's base frame. They are centred on the principal points
     of the named cameras, at most one of each eye; None: the narrow ones, or an eye's main one. See
-    `solve_fixation` for NaN. Raises VergenceError if the head has no such camera, or points are not
-    (..., 3).
+    `solve_fixation` for NaN. VergenceError for unknown cameras, or points that are not (..., 3).
     """
     points_lbase = checked_points(points_lbase)
     if cameras is None:
         cameras = [roles.narrow for roles in default_roles(calibration).values()]
-    if isinstance(cameras, str) or not len(cameras):
-        raise VergenceError(
-            f"cameras are names of one or more, such as {[*calibration.cameras][:1]}; found "
-            f"{cameras!r:.80}."
-        )
-    targets = {}
-    for name in cameras:
-        right = calibration.camera(name).eye == "right"
-        targets[name] = (
-            transform(calibration.T_rbase_lbase, points_lbase) if right else points_lbase
-        )
+    points = {
+        "left": points_lbase,
+        "right": transform(calibration.T_rbase_lbase, points_lbase),
+    }
+    targets = {name: points[calibration.camera(name).eye] for name in cameras}
     return solve_fixation(calibration, targets)
 
 

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.data.dataset import Dataset, Frame
-from vergence.data.stereo_rows import stereo_rows
+from vergence.data.dataset import Dataset, Frame, stereo_rows
 from vergence.errors import VergenceError
 from vergence.geometry.camera import unproject
 from vergence.geometry.eye_motion import eye_motions, measured

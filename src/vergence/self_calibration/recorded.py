@@ -7,8 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from vergence.data.dataset import Dataset
-from vergence.data.stereo_rows import stereo_rows
+from vergence.data.dataset import Dataset, stereo_rows
 from vergence.errors import VergenceError, counted, listed
 from vergence.findings import Finding, by_severity, warning
 from vergence.geometry.head import HeadCalibration, states_covariance

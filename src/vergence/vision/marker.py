@@ -26,8 +26,7 @@ def marker_detector(dictionary: str, marker_id: int) -> Detector:
         dictionary: OpenCV's name of the family, such as DICT_4X4_50 or DICT_APRILTAG_36H11.
         marker_id: number of the marker in it.
 
-    Raises:
-        VergenceError: the dictionary is unknown, or does not contain the marker.
+    VergenceError if the dictionary is unknown, or does not contain the marker.
     """
     family = marker_family(dictionary, marker_id)
     parameters = cv2.aruco.DetectorParameters()

@@ -41,14 +41,11 @@ _FITTED_PIXELS = 1000
 def sphere_detector(colour: Literal["red", "blue"] = "red", *, std_px: float = STD_PX) -> Detector:
     """Make a detector of the largest sphere of a colour.
 
-    It reports `std_px`, above 0, or for occluded spheres a larger standard deviation. VergenceError
-    for another colour or standard deviation.
+    It reports `std_px`, or for occluded spheres a larger standard deviation. VergenceError for
+    another colour.
     """
     if colour not in COLOURS:
         raise VergenceError(f"Spheres are {' or '.join(COLOURS)}, found {colour!r}.")
-    if not std_px > 0:
-        raise VergenceError(f"The standard deviation must be above 0 px, found {std_px:g}.")
-
     planes = (0, 1, 2) if colour == "red" else (2, 1, 0)  # the sphere's colour first
 
     def detect(image: np.ndarray, camera: Camera, near: Array | None) -> Detection | None:

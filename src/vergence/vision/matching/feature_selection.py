@@ -85,14 +85,10 @@ def relief_around(at: Array, displaced: Array) -> Array:
 
 def _planes(x: Array, y: Array, weights: Array, values: Array) -> tuple[Array, Array]:
     """Fit planes to values (k, N); return them at their k places (k, N) and in the middle (N,)."""
-    terms = np.ones_like(x), x, y
-    H = np.empty((x.shape[1], 3, 3))
-    right = np.empty((x.shape[1], 3, 1))
-    for i, first in enumerate(terms):
-        weighted = weights * first
-        right[:, i, 0] = (weighted * values).sum(axis=0)
-        for j, second in enumerate(terms[: i + 1]):
-            H[:, i, j] = H[:, j, i] = (weighted * second).sum(axis=0)
+    terms = np.stack([np.ones_like(x), x, y])
+    H, right = (
+        np.einsum("ikn,jkn->nij", weights * terms, of) for of in (terms, values[np.newaxis])
+    )
     H += 1e-3 * np.eye(3)  # the flattest plane through neighbours on one line
     middle, by_x, by_y = np.linalg.solve(H, right)[..., 0].T
     return middle + by_x * x + by_y * y, middle
