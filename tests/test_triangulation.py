@@ -17,8 +17,7 @@ from vergence.geometry.lens import CameraModel
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
 from vergence.stereo.extrinsics import base_extrinsics, relative_camera_pose
-from vergence.stereo.sightings import CHUNK
-from vergence.stereo.triangulation import Status, in_body, in_head, triangulate_at
+from vergence.stereo.triangulation import CHUNK, Status, in_body, in_head, triangulate_at
 from vergence.stereo.uncertainty import locate
 
 seeds = st.integers(0, 2**32 - 1)

@@ -30,12 +30,8 @@ from vergence.geometry.head import (
 from vergence.geometry.kinematics import EYE_JOINTS
 from vergence.geometry.parameters import is_gain, named_columns
 from vergence.geometry.projection import project_point
-from vergence.stereo.linearised import (
-    by_head_parameters,
-    linearised,
-    pair_parameters,
-)
-from vergence.stereo.sightings import Sightings, sightings
+from vergence.stereo.linearised import by_head_parameters, linearised, pair_parameters
+from vergence.stereo.triangulation import Sightings, sightings
 
 TIME_OFFSET = "time_offset_s"
 CALIBRATION = "the calibration"

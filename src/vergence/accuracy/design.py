@@ -38,7 +38,7 @@ from vergence.geometry.parameters import named_columns
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import pose, rotation
 from vergence.stereo.linearised import linearised
-from vergence.stereo.sightings import sightings
+from vergence.stereo.triangulation import sightings
 
 STRAIGHT, GAZES = 8, 16
 """Views of the standard recording: boards at straight gaze, and gazes to a board at rest."""

@@ -17,17 +17,13 @@ from vergence.calibration.summary import DISTANCES_M
 from vergence.errors import VergenceError
 from vergence.gaze.foveation import solve_fixation
 from vergence.geometry.board import Board
-from vergence.geometry.head import (
-    HeadCalibration,
-    base_pose,
-    parameter_names,
-)
+from vergence.geometry.head import HeadCalibration, base_pose, parameter_names
 from vergence.geometry.kinematics import looking_along
 from vergence.geometry.parameters import named_columns
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import POSE, inverse, transform
 from vergence.stereo.linearised import by_head_parameters, linearised, pair_parameters
-from vergence.stereo.sightings import sightings
+from vergence.stereo.triangulation import sightings
 
 CORNERS_AT_A_TIME = 20_000
 """Number of corners that are linearised together: their derivatives take 50 MB for each camera."""

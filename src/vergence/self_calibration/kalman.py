@@ -16,17 +16,10 @@ from vergence.estimation.linear import posterior
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_between, change_named
 from vergence.self_calibration.keyframe import add_tracked, augmented_covariance, next_keyframe
-from vergence.self_calibration.match_noise import (
-    PACE,
-)
+from vergence.self_calibration.match_noise import PACE
 from vergence.self_calibration.prior import DRIFT, tolerance_covariance
 from vergence.self_calibration.robust_fit import gate
-from vergence.self_calibration.state import (
-    Evidence,
-    FilterState,
-    FrameEstimate,
-    TrackedFeatures,
-)
+from vergence.self_calibration.state import Evidence, FilterState, FrameEstimate, TrackedFeatures
 
 
 def predict(state: FilterState, elapsed_s: float) -> FilterState:

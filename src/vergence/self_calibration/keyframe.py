@@ -22,19 +22,8 @@ from vergence.self_calibration.residuals import (
     motion_coordinates,
     motion_residuals,
 )
-from vergence.self_calibration.robust_fit import (
-    FEWEST,
-    INLIER,
-    Linearised,
-    passes_gate,
-    robust_fit,
-)
-from vergence.self_calibration.state import (
-    FilterState,
-    FrameEstimate,
-    Keyframe,
-    TrackedFeatures,
-)
+from vergence.self_calibration.robust_fit import FEWEST, INLIER, Linearised, passes_gate, robust_fit
+from vergence.self_calibration.state import FilterState, FrameEstimate, Keyframe, TrackedFeatures
 from vergence.stereo.extrinsics import camera_poses, relative_camera_pose
 from vergence.vision.matching.scene_features import track_features
 

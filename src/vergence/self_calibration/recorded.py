@@ -15,11 +15,7 @@ from vergence.geometry.kinematics import straight_gaze
 from vergence.geometry.parameters import change_between
 from vergence.geometry.projection import project_point
 from vergence.progress import Progress, silent
-from vergence.self_calibration.calibrator import (
-    MOVED_RAD,
-    initial_visual_geometry,
-    update_geometry,
-)
+from vergence.self_calibration.calibrator import MOVED_RAD, initial_visual_geometry, update_geometry
 from vergence.self_calibration.filter import learned_head
 from vergence.self_calibration.prior import Changed
 from vergence.self_calibration.state import FilterState

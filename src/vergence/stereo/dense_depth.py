@@ -18,11 +18,7 @@ from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.geometry.head import states_noise
 from vergence.geometry.se3 import transform
-from vergence.stereo.rectification import (
-    RectifiedPair,
-    rectified_image,
-    rectified_points,
-)
+from vergence.stereo.rectification import RectifiedPair, rectified_image, rectified_points
 from vergence.stereo.uncertainty import LocatedPoints, depth_error, locate
 from vergence.vision.exposure import checked_image, grey_levels, of_equal_contrast
 

@@ -29,8 +29,7 @@ from vergence.geometry.head import (
 from vergence.geometry.parameters import camera_columns
 from vergence.geometry.projection import project_with_jacobians
 from vergence.geometry.se3 import cross
-from vergence.stereo.sightings import Sightings
-from vergence.stereo.triangulation import intersect_rays
+from vergence.stereo.triangulation import Sightings, intersect_rays
 
 
 def pair_parameters(head: HeadCalibration, cameras: tuple[str, str]) -> tuple[str, ...]:

@@ -25,8 +25,14 @@ from vergence.stereo.linearised import (
     pair_covariance,
     pair_parameters,
 )
-from vergence.stereo.sightings import CHUNK, SightingArguments, Sightings, in_chunks, sightings
-from vergence.stereo.triangulation import triangulated
+from vergence.stereo.triangulation import (
+    CHUNK,
+    SightingArguments,
+    Sightings,
+    in_chunks,
+    sightings,
+    triangulated,
+)
 
 
 @dataclass(frozen=True, eq=False)
