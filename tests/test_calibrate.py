@@ -20,7 +20,7 @@ from vergence.calibration.board_numbering import turn_boards
 from vergence.calibration.calibrate import CalibrationResult, Method, calibrate
 from vergence.calibration.detection import SYSTEMATIC_PX
 from vergence.calibration.observations import Observations
-from vergence.calibration.summary import summary_lines, verdict
+from vergence.calibration.summary import inaccurate, summary_lines, verdict
 from vergence.data.dataset import Dataset
 from vergence.data.reader import load_dataset
 from vergence.errors import VergenceError
@@ -137,9 +137,25 @@ def test_held_out_points_check_nothing_where_noise_explains_a_tenth_of_the_dista
     found, expected_mm, checks
 ):
     held = HeldOut(12, 12, 0.1, 12, point_mm=4.0, expected_mm=expected_mm, distance_m=0.5)
-    word, following = verdict(replace(found.accuracy, findings=(), held_out=held), found.head)
+    findings = inaccurate(replace(found.head, accuracy=replace(found.accuracy, held_out=held)))
+    accuracy = replace(found.accuracy, findings=tuple(findings))
+    word, following = verdict(accuracy, found.head)
     assert (f"noise explains errors of {expected_mm:.0f} mm at 0.50 m" in following) != checks
-    assert checks or word == "DOUBTFUL"
+    assert word == ("GOOD" if checks else "DOUBTFUL")
+
+
+def test_what_to_do_next_is_about_the_largest_part_of_a_point_s_error(found):
+    """Noisy readings ask for what the eyes see, a rough calibration for more views."""
+    accuracy = replace(found.accuracy, findings=())
+    for better, wanted in (
+        ({"joint_std": (np.radians(1.0),)}, "Next: better encoders"),
+        ({"covariance": 400 * accuracy.covariance}, "Next: record more views"),
+        ({"joint_std": (1e-6,), "covariance": 1e-6 * accuracy.covariance}, "Next: more pixels"),
+    ):
+        stated = replace(accuracy, **better)
+        word, following = verdict(stated, replace(found.head, accuracy=stated))
+        assert word == "GOOD"
+        assert following.startswith(wanted)
 
 
 def test_the_noise_of_readings_is_said_of_each_kind(found):

@@ -18,7 +18,7 @@ class Finding:
     severity: Severity
     """void: do not use the result; warning: do not trust it blindly; note: good to know."""
     code: Annotated[str, Field(pattern="^[a-z0-9]+(-[a-z0-9]+)*$")]
-    """Name of the check in kebab case, which a program can test. It implies the severity."""
+    """Name of the check in kebab case, which a program can test."""
     where: str
     """Camera, view, row or reading that it concerns; empty: the data as a whole."""
     sentence: str

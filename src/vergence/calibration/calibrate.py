@@ -24,7 +24,7 @@ from vergence.calibration.initial import SequentialCalibration, calibrate_sequen
 from vergence.calibration.lens_choice import LensChoice, LensOption
 from vergence.calibration.observations import Observations
 from vergence.calibration.prepared_views import Method, PreparedViews, prepare
-from vergence.calibration.summary import summary_lines
+from vergence.calibration.summary import inaccurate, summary_lines
 from vergence.data.dataset import Dataset
 from vergence.errors import VergenceError
 from vergence.findings import Finding, by_severity, select
@@ -112,9 +112,9 @@ def calibrate(
         found.accuracy,
         eye_motion="pan-tilt" if observations.T_base_eye is None else "poses",
         held_out=held_out,
-        findings=by_severity(findings),
     )
-    head = replace(head, accuracy=accuracy)
+    findings += inaccurate(replace(head, accuracy=accuracy))
+    head = replace(head, accuracy=replace(accuracy, findings=by_severity(findings)))
     return CalibrationResult(head, observations, start, estimate, views.lenses)
 
 

@@ -40,10 +40,11 @@ BEYOND_CHANCE = 2.0
 BOARD_SIZE = 0.001
 """Relative error of the board's size from which it is reported."""
 JACKKNIFE_LIMITS = 2.0, 10.0
-"""Ratios of standard deviations from which the stated ones are too small (the folds determine it to
-about a tenth), and from which parts of the views contradict each other."""
-VOID_MISFIT = 5.0
-"""Ratio of the held-out error to its expectation, from which the result must not be used."""
+"""Ratios of standard deviations from which the stated ones are doubted (the folds determine it to
+about a tenth), and from which the result is void."""
+MISFIT_LIMITS = 1.5, 5.0
+"""The same of the held-out error and its expectation; with ten views or more of both eyes the ratio
+stays below the first."""
 MISFIT_CAUSES = "look for backlash, a board that moved or bends, and time stamps of moving eyes"
 
 
@@ -270,25 +271,30 @@ def cross_validate(
     if not found.transfer_views and len(set(camera_eyes(observations).values())) > 1:
         sentence = "There is no held-out error of points: no view shows the board to both eyes."
         return found, [warning("no-held-out-points", sentence)]
-    findings, ratio = [], found.jackknife_ratio or 0.0
-    differ = f"Calibrations from parts of the views differ {ratio:.1f} times as much as stated"
-    if ratio > JACKKNIFE_LIMITS[1]:
-        sentence = f"{differ}: they contradict each other; look for views with wrong readings."
-        findings.append(void("views-contradict", sentence))
-    elif ratio > JACKKNIFE_LIMITS[0]:
-        sentence = (
-            f"{differ}: true errors are larger than the stated ones by as much at least; look for "
-            "errors that corners share (a board that bends, blur)."
-        )
-        findings.append(warning("stated-too-small", sentence))
+    ratio, misfit = found.jackknife_ratio or 0.0, 0.0
     if found.point_mm is not None and found.expected_mm is not None:
         misfit = found.point_mm / found.expected_mm
-        if misfit >= VOID_MISFIT:
-            sentence = (
-                f"Held-out points are {misfit:.1f} times as wrong as the noise explains; "
-                f"{MISFIT_CAUSES}."
-            )
-            findings.append(void("held-out-misfit", sentence))
+    findings = []
+    for code, value, limits, sentence in (
+        (
+            "held-out-misfit",
+            misfit,
+            MISFIT_LIMITS,
+            f"Held-out points are {misfit:.1f} times as wrong as the noise explains; "
+            f"{MISFIT_CAUSES}.",
+        ),
+        (
+            "stated-too-small",
+            ratio,
+            JACKKNIFE_LIMITS,
+            f"Calibrations from parts of the views differ {ratio:.1f} times as much as stated, and "
+            "true errors are larger by as much; look for wrong readings, and for errors that "
+            "corners share (a board that bends, blur).",
+        ),
+    ):
+        if value > limits[0]:
+            severity = void if value > limits[1] else warning
+            findings.append(severity(code, sentence))
     return found, findings
 
 

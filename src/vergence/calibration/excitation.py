@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from scipy.stats import norm, t
 
 from vergence.arrays import Array
 from vergence.calibration.bundle_findings import ADVISED, LEAST_MOTION_RAD, spread
@@ -31,7 +32,7 @@ FOCAL_PART, FOCAL_SURE = 0.004, 1e-4
 the eye's own turns have slanted the board."""
 STRETCH_VIEWS, STRETCH_SIGNIFICANT = 6, 4.0
 """Minimum number of views per camera needed to estimate scatter, and significance threshold [sigma]
-of a stretched board."""
+of a stretched board, for many views."""
 LEAST_STRETCH, LEAST_STRETCH_IN_MOTION = 5e-4, 1e-3
 """Stretch that makes focal lengths as wrong as good recordings leave them uncertain, and with which
 rows of moving eyes must not be used: with 0.2 % and corners known to 0.01 px points were wrong by
@@ -149,7 +150,10 @@ def stretched_board(
     With rows of moving eyes, whose images share the error, the result must not be used.
     """
     value, std = stretch(observations, T_cam_target, intrinsics)
-    if not abs(value) > max(STRETCH_SIGNIFICANT * std, LEAST_STRETCH):
+    # The deviation of few views is uncertain itself.
+    redundancy = sum(known_poses(T_cam_target[name]).sum() - 1 for name in intrinsics)
+    significant = t.isf(norm.sf(STRETCH_SIGNIFICANT), max(redundancy, 1))
+    if not abs(value) > max(significant * std, LEAST_STRETCH):
         return []
     board = observations.board
     height_m = (1 + value) * (board.square_y_m or board.square_m)
@@ -163,7 +167,7 @@ def stretched_board(
     )
     if moving and abs(value) > LEAST_STRETCH_IN_MOTION:
         sentence += " With rows of moving eyes it makes gains and axes wrong; leave them out."
-        return [void("stretched-board-in-motion", sentence)]
+        return [void("stretched-board", sentence)]
     return [warning("stretched-board", sentence)]
 
 

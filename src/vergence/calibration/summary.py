@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from vergence.calibration.cross_validation import MISFIT_CAUSES
 from vergence.calibration.observations import NO_CORNERS, UNREADABLE_IMAGE, Observations
 from vergence.calibration.plausibility import eye_shift
 from vergence.errors import counted, listed
-from vergence.findings import select
+from vergence.findings import Finding, select, warning
 from vergence.geometry.head import (
     HeadCalibration,
     base_pose,
@@ -22,14 +21,13 @@ from vergence.geometry.se3 import inverse, transform
 from vergence.stereo.uncertainty import locate
 from vergence.vision.board_pose import seen_corners
 
-POOR_FIT = 1.5
-"""Ratio of the held-out error to its expectation, from which something is amiss; with ten views or
-more of both eyes it stays below."""
 LARGEST_EXPECTED = 0.1
 """Error that noise explains, relative to the distance, from which held-out points check nothing."""
-PART, SMALL = 1 / 3, 0.002
-"""Largest error by the calibration, relative to that by a reading's noise (both together are then a
-twentieth larger), and error relative to the distance that is always small."""
+INACCURATE = 0.01
+"""Error of a point by the calibration, relative to its distance, from which it is doubted: a
+finger's width at arm's length."""
+BUDGET_M = 0.6
+"""Distance of the error budget in the last line, the middle one of DISTANCES_M."""
 MOST_NOTES = 2
 """Number of notes that a summary repeats; the report has all."""
 DISTANCES_M = (0.3, 0.6, 1.0)
@@ -41,57 +39,72 @@ AROUND_RAD = 0.2
 
 
 def verdict(accuracy: Accuracy, head: HeadCalibration) -> tuple[str, str]:
-    """Judge a calibration in one word, and say what to do next.
+    """Judge a calibration by its findings in one word, and say what to do next.
 
-    GOOD: the stated accuracy can be believed, and more views would not make points much better.
-    VOID: the calibration must not be used. DOUBTFUL: something is amiss, unknown, or inaccurate.
+    GOOD: the stated accuracy can be believed. DOUBTFUL: something is amiss, unknown, or inaccurate.
+    VOID: the calibration must not be used.
     """
     if accuracy.void:
         return "VOID", accuracy.void[0].sentence
-    warnings = select(accuracy.findings, "warning")
-    doubt = str(warnings[0]) if warnings else _doubt(accuracy, head)
-    if doubt:
-        return "DOUBTFUL", f"Next: {doubt}"
-    return "GOOD", "Next: nothing; more views would not make points much better."
+    if warnings := select(accuracy.findings, "warning"):
+        return "DOUBTFUL", f"Next: {warnings[0]}"
+    return "GOOD", f"Next: {_largest_part(head)}"
 
 
-def _doubt(accuracy: Accuracy, head: HeadCalibration) -> str:
-    """Say why the accuracy is not good, or not known; empty: it is good."""
-    checked = accuracy.held_out
-    if accuracy.method == "paper" or checked is None:
-        return "the paper's method states no accuracy; calibrate with --method bundle."
-    if checked.point_mm is not None and checked.expected_mm is not None:
-        if checked.expected_mm > LARGEST_EXPECTED * 1e3 * (checked.distance_m or np.inf):
-            return (
-                "record more views in which both eyes see the board (`vergence plan` says which); "
-                "held-out points check nothing, since noise explains errors of "
-                f"{checked.expected_mm:.0f} mm at {checked.distance_m:.2f} m."
+def inaccurate(head: HeadCalibration) -> list[Finding]:
+    """Find out whether the accuracy of points is stated, was checked, and is good."""
+    accuracy = head.accuracy
+    assert accuracy is not None
+    if accuracy.method == "paper":
+        sentence = "the paper's method states no accuracy; calibrate with --method bundle."
+        return [warning("no-accuracy", sentence)]
+    findings, checked = [], accuracy.held_out
+    more = "record more views in which both eyes see the board (`vergence plan` says which)"
+    if checked is not None and checked.expected_mm is not None and checked.distance_m is not None:
+        expected_mm, distance = checked.expected_mm, checked.distance_m
+        if expected_mm > LARGEST_EXPECTED * 1e3 * distance:
+            sentence = (
+                f"{more}; held-out points check nothing, since noise explains errors of "
+                f"{expected_mm:.0f} mm at {distance:.2f} m."
             )
-        ratio = checked.point_mm / checked.expected_mm
-        if ratio > POOR_FIT:
-            return (
-                f"held-out points are {ratio:.1f} times as wrong as the noise explains; "
-                f"{MISFIT_CAUSES}."
+            findings.append(warning("nothing-checked", sentence))
+    for distance, by_calibration, *_ in point_accuracy(head):
+        if by_calibration > INACCURATE * 1e3 * distance:
+            sentence = (
+                f"{more}, or let the eyes move farther; at {distance:g} m a point is wrong by "
+                f"{by_calibration:.1f} mm by the calibration alone."
             )
-    table = point_accuracy(head)
-    if not table:
-        return (
-            "look at the standard deviations; the accuracy of a point is stated for heads of two "
-            "eyes with joint readings."
-        )
-    for distance, by_calibration, by_reading in table:
-        if by_calibration > max(PART * by_reading, SMALL * 1e3 * distance):
-            return (
-                "record more views (`vergence plan` says which), or larger eye motion; at "
-                f"{distance:g} m the calibration adds {by_calibration:.1f} mm to the "
-                f"{by_reading:.1f} mm of a reading's noise."
-            )
-    return ""
+            findings.append(warning("inaccurate", sentence))
+            break
+    return findings
 
 
-def point_accuracy(head: HeadCalibration) -> list[tuple[float, float, float]]:
-    """Return at some distances [m] what calibration and what one reading add to a point [mm].
+def _largest_part(head: HeadCalibration) -> str:
+    """Say which part of a point's error is the largest, and what makes it smaller."""
+    budget = {distance: parts for distance, *parts in point_accuracy(head)}
+    if not budget:
+        return "nothing is amiss; the report states the deviation of each parameter."
+    distance = min(budget, key=lambda each: abs(each - BUDGET_M))
+    by_calibration, by_reading, by_pixels = budget[distance]
+    by_joints = float(np.sqrt(max(by_reading**2 - by_pixels**2, 0.0)))
+    parts = {
+        by_calibration: "record more views, or let the eyes move farther (`vergence plan` says "
+        "which)",
+        by_joints: "better encoders make the error of a point smaller, or what the eyes see "
+        "(self-calibration), more views do not",
+        by_pixels: "more pixels or eyes farther apart make the error of a point smaller, more "
+        "views do not",
+    }
+    return (
+        f"{parts[max(parts)]}; at {distance:g} m the joint readings add {by_joints:.1f} mm, the "
+        f"corners {by_pixels:.1f} mm, and the calibration {by_calibration:.1f} mm."
+    )
 
+
+def point_accuracy(head: HeadCalibration) -> list[tuple[float, float, float, float]]:
+    """Compute at some distances [m] the errors of a point [mm], and their parts.
+
+    By the calibration, by the noise of one reading and its pixels, and by that of the pixels alone.
     Root mean square over a motion: both eyes turn in parallel while the gaze goes round a point
     that stays ahead. Without the distances at which they do not both see it; empty where the head
     states no covariance, has one eye, or eyes whose poses are measured.
@@ -109,14 +122,17 @@ def point_accuracy(head: HeadCalibration) -> list[tuple[float, float, float]]:
         # Both eyes turn in the same sense; the point stays in the middle of the head.
         point = transform(T_lbase_head, np.array([distance, 0.0, 0.0]))
         left, right = (project_point(plain, name, joints, point) for name in pair)
-        found = locate(head, left=left, right=right, joints=joints)
+        found, seen = (
+            locate(head, left=left, right=right, joints=joints, reading_std=std)
+            for std in (None, 0.0)
+        )
         of_head = found.calibration_covariance
-        by_head, by_reading = (
-            1e3 * float(np.sqrt(np.trace(each, axis1=1, axis2=2).mean()))
-            for each in (of_head, found.covariance - of_head)
+        parts = of_head, found.covariance - of_head, seen.covariance - seen.calibration_covariance
+        by_head, by_reading, by_pixels = (
+            1e3 * float(np.sqrt(np.trace(each, axis1=1, axis2=2).mean())) for each in parts
         )
         if np.isfinite([by_head, by_reading]).all():
-            rows.append((distance, by_head, by_reading))
+            rows.append((distance, by_head, by_reading, by_pixels))
     return rows
 
 
@@ -164,7 +180,7 @@ def summary_lines(head: HeadCalibration, observations: Observations) -> list[str
         )
     table = point_accuracy(head)
     if table:
-        parts = ", ".join(f"{mm:.2f} mm at {distance:g} m" for distance, mm, _ in table)
+        parts = ", ".join(f"{mm:.2f} mm at {distance:g} m" for distance, mm, *_ in table)
         shown = {distance for distance, *_ in table}
         unseen = " or ".join(f"{distance:g}" for distance in DISTANCES_M if distance not in shown)
         beyond = f"; not both eyes see a point at {unseen} m" if unseen else ""

@@ -33,6 +33,7 @@ WORST_VIEWS = 6
 def calibration_report(result: CalibrationResult) -> Report:
     """Report a calibration: its summary, and its accuracy as plain values."""
     accuracy = result.accuracy
+    names = "distance_m", "calibration_mm", "reading_mm", "pixel_mm"
     word, following = verdict(accuracy, result.head)
     data = {
         "verdict": word,
@@ -43,10 +44,7 @@ def calibration_report(result: CalibrationResult) -> Report:
         "joint_std": list(accuracy.joint_std),
         "time_offset_ms": 1e3 * result.head.time_offset_s,
         "held_out": accuracy.held_out,
-        "point_std": [
-            dict(zip(("distance_m", "calibration_mm", "reading_mm"), row, strict=True))
-            for row in point_accuracy(result.head)
-        ],
+        "point_std": [dict(zip(names, row, strict=True)) for row in point_accuracy(result.head)],
         "lenses": {
             name: {
                 "model": choice.model,
@@ -141,7 +139,10 @@ def _save_pictures(
 
 
 def _points(result: CalibrationResult) -> list[str]:
-    rows = [(f"{d:g}", f"{a:.2f}", f"{b:.2f}") for d, a, b in point_accuracy(result.head)]
+    rows = [
+        (f"{distance:g}", *(f"{error_mm:.2f}" for error_mm in parts))
+        for distance, *parts in point_accuracy(result.head)
+    ]
     if not rows:
         return [
             "Not stated: it needs bundle adjustment, joint readings, and two eyes that see points "
@@ -151,7 +152,9 @@ def _points(result: CalibrationResult) -> list[str]:
         "Standard deviation of a point ahead that the main cameras locate, averaged over "
         "directions of gaze up to 0.2 rad from straight ahead. The error by the calibration is the "
         "same in all measurements at the same readings; the noise of joints and pixels varies.",
-        markdown_table("distance [m] | calibration [mm] | reading [mm]", rows),
+        markdown_table(
+            "distance [m] | calibration [mm] | reading [mm] | its pixels alone [mm]", rows
+        ),
     ]
     checked = result.accuracy.held_out
     if checked is not None and checked.jackknife_ratio is not None:
