@@ -25,6 +25,16 @@ from vergence.files import (
     write_whole,
 )
 
+LINES = 20_000
+WRITER = f"""
+import sys
+from pathlib import Path
+from vergence.files import whole_file
+for k in range(50):
+    with whole_file(Path(sys.argv[1])) as part, part.open("w") as file:
+        for _ in range({LINES} // 50):
+            file.write(sys.argv[2] * 50 + "\\n")
+"""
 HELD = """
 import sys, time
 from pathlib import Path
@@ -47,6 +57,22 @@ def start(code: str, *arguments: object) -> subprocess.Popen[str]:
 
 def temporaries(folder: Path) -> list[Path]:
     return sorted(folder.rglob(".*.part"))
+
+
+@pytest.mark.slow
+def test_of_two_processes_that_write_one_file_the_last_wins_whole(tmp_path):
+    target = tmp_path / "a.txt"
+    writers = [start(WRITER, target, letter) for letter in "ab"]
+    seen = set()
+    while any(writer.poll() is None for writer in writers):
+        if target.exists():
+            lines = target.read_text().splitlines()
+            seen.add(lines[0][0])
+            assert len(lines) == LINES // 50
+            assert len(set(lines)) == 1
+    assert [writer.communicate()[1] for writer in writers] == ["", ""]
+    assert seen <= {"a", "b"}
+    assert temporaries(tmp_path) == []
 
 
 @pytest.mark.slow
