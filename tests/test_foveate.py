@@ -70,7 +70,7 @@ def test_an_object_that_appears_comes_to_the_centre_of_both_foveas(
 
 def made(*errors: float, lost: bool = False) -> Trial:
     both = np.array([[error, 0.0] for error in errors])
-    return Trial(np.zeros(3), 0.1 * np.arange(len(errors)), both, lost)
+    return Trial(0.1 * np.arange(len(errors)), both, lost)
 
 
 def test_a_trial_settles_when_it_stays_within_the_bound():

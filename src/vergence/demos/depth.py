@@ -37,10 +37,6 @@ from vergence.twin.head import Twin
 from vergence.twin.model import check_calibration_of
 from vergence.twin.simulated_robot import calibrate_twin, learn_by_looking
 
-_GRID_PX = 16
-"""Distance between the points whose rows are compared [px]."""
-_WRONG = 0.2
-"""Relative error of depth above which a pixel is a mismatch."""
 PairErrors = tuple[Array, Array, float]
 """Errors of one pair: see `depth_errors`."""
 
@@ -95,7 +91,7 @@ def depth_errors(pair: RectifiedPair, found: DenseDepth, truth: DepthTruth) -> P
 def _row_rms(pair: RectifiedPair, truth: DepthTruth) -> float:
     """Compute the root mean square difference of a true point's rows in the pair [px]."""
     left, right = (mounted.intrinsics for mounted in stereo_cameras(truth.head, None))
-    v, u = np.mgrid[: left.height : _GRID_PX, : left.width : _GRID_PX]
+    v, u = np.mgrid[: left.height : 16, : left.width : 16]  # [px]
     pixels = np.stack([u, v], axis=-1).reshape(-1, 2).astype(float)
     points = unproject(left, pixels) * truth.depth_m[v, u].reshape(-1, 1)
     T = relative_camera_pose(truth.head, truth.eye_angles)
@@ -111,7 +107,7 @@ def _row_rms(pair: RectifiedPair, truth: DepthTruth) -> float:
 def pooled(found: list[PairErrors]) -> DepthErrors:
     """Compute the statistics of the errors of all pairs."""
     relative, standardised = (np.concatenate([each[k] for each in found]) for k in (0, 1))
-    wrong = np.abs(relative) > _WRONG
+    wrong = np.abs(relative) > 0.2  # a mismatch
     within = np.abs(standardised[~wrong]) < 2
     return DepthErrors(
         median_relative=float(np.median(np.abs(relative))) if relative.size else np.nan,

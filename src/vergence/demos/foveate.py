@@ -34,18 +34,10 @@ from vergence.viewer.plots.canvas import save
 
 WITHIN_S = 0.5
 """Length of a trial [s]: a saccade takes 60 ms."""
-DIRECTION_RAD = float(np.radians(20))
-"""Maximum pan and tilt of an object [rad]: within the eyes' ranges."""
 DEPTH_M = (0.3, 1.5)
 """Range of depths of an object [m]."""
-OBJECT_M = 0.02
-"""Radius of an object [m]."""
 SETTLED_PX = 8.0
 """Error below which both eyes must stay until the end to be settled [px]."""
-PLAYBACK = 0.25
-"""Speed of the recording's playback."""
-RECORDED = 10
-"""Number of trials that are recorded, to keep the file small."""
 
 
 @dataclass(frozen=True)
@@ -68,8 +60,6 @@ class Summary:
 class Trial:
     """One object that appeared."""
 
-    target_head: Array
-    """(3,) its position [m] in frame head."""
     time_s: Array
     """(N,) times of the frames since it appeared."""
     errors_px: Array
@@ -106,7 +96,8 @@ def targets(
     rng = np.random.default_rng([seed, 5])
 
     def draw(count: int) -> Array:
-        pan, tilt = rng.uniform(-DIRECTION_RAD, DIRECTION_RAD, (2, count))
+        widest = np.radians(20)  # within the eyes' ranges
+        pan, tilt = rng.uniform(-widest, widest, (2, count))
         depth = rng.uniform(*DEPTH_M, count)
         return depth[:, None] * np.stack([np.ones(count), np.tan(pan), -np.tan(tilt)], axis=-1)
 
@@ -145,7 +136,7 @@ def run_trial(
     state = run_gaze(head, settings, state, WITHIN_S - FRAME_S, watch=keep)
     in_view = [state.detections.get(name) is not None for name in settings.narrow]
     lost = state.phase is GazePhase.LOST or not all(in_view)
-    return Trial(target_head, np.array(times), np.array(errors), lost, state.geometry)
+    return Trial(np.array(times), np.array(errors), lost, state.geometry)
 
 
 def summary(trials: list[Trial]) -> Summary:
@@ -166,23 +157,24 @@ def foveate(
 ) -> tuple[Summary, list[Trial]]:
     """Calibrate the twin and run a trial for each of a number of objects.
 
-    The folder gets foveate.json, depth.png, and the recording foveate.rrd of the first RECORDED
+    The folder gets foveate.json, depth.png, and the recording foveate.rrd of the first ten
     trials. Raises VergenceError if an argument is out of range, or a file cannot be written.
     """
     check_trials(trials)
     with (
         calibrated_twin(experiment, progress) as (twin, settings),
-        recorded(experiment, "foveate", twin, settings, reach_m=DEPTH_M[1], speed=PLAYBACK) as (
+        recorded(experiment, "foveate", twin, settings, reach_m=DEPTH_M[1], speed=0.25) as (
             watch,
             finish,
         ),
     ):
         if experiment.out is not None:
             save(draw_foveation(settings.calibration), experiment.out / "depth.png")
-        where = targets(trials, experiment.seed, free=partial(unoccluded, twin, margin_m=OBJECT_M))
+        radius_m = 0.02  # of the object
+        where = targets(trials, experiment.seed, free=partial(unoccluded, twin, margin_m=radius_m))
 
         def record(state: GazeState, frame: Frame | None) -> None:
-            if len(made) < RECORDED:
+            if len(made) < 10:  # to keep the file small
                 watch(state, frame, {"object": f"{len(made) + 1}"}, None)
 
         made: list[Trial] = []

@@ -40,16 +40,8 @@ WITHIN_M = 0.010
 """Distance from the object's centre within which the hand should close [m]: half its radius."""
 FAR_M, NEAR_M = (1.0, 1.3), (0.38, 0.55)
 """Distances from the head at which the object comes into view and is held out [m]."""
-FAR_RAD, NEAR_RAD = 0.25, 0.20
-"""Maximum pan and tilt of the object at these distances [rad]."""
-BROUGHT_M_S = 0.19
-"""Mean speed of the object [m/s]; its maximum is 0.3 m/s."""
-SWAY_M, SWAY_HZ = 0.012, (0.25, 0.5)
-"""Amplitude [m] and range of frequencies [Hz] of the object's sway along each axis."""
 LONGEST_S = 12.0
 """Maximum length of a trial [s]."""
-RECORDED = 3
-"""Number of trials that are recorded, to keep the file small."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,14 +90,15 @@ def hand_held(seed: int, run: int) -> Callable[[float], Array]:
     rng = np.random.default_rng([seed, 9, run])
     far, near = (
         rng.uniform(*depth) * np.array([1.0, *np.tan(rng.uniform(-widest, widest, 2))])
-        for depth, widest in ((FAR_M, FAR_RAD), (NEAR_M, NEAR_RAD))
+        for depth, widest in ((FAR_M, 0.25), (NEAR_M, 0.20))  # [rad], pan and tilt
     )
-    takes_s = float(np.linalg.norm(far - near)) / BROUGHT_M_S
-    turn, phase = 2 * np.pi * rng.uniform(*SWAY_HZ, 3), rng.uniform(0, 2 * np.pi, 3)
+    takes_s = float(np.linalg.norm(far - near)) / 0.19  # [m/s], in the mean; 0.3 at most
+    turn, phase = 2 * np.pi * rng.uniform(0.25, 0.5, 3), rng.uniform(0, 2 * np.pi, 3)
 
     def path(time_s: float) -> Array:
         done = (1 - np.cos(np.pi * min(time_s / takes_s, 1.0))) / 2
-        return far + done * (near - far) + SWAY_M * np.sin(turn * time_s + phase)
+        sway_m = 0.012 * np.sin(turn * time_s + phase)
+        return far + done * (near - far) + sway_m
 
     return path
 
@@ -174,7 +167,7 @@ def grasp(
 ) -> tuple[Summary, list[Trial]]:
     """Calibrate the twin, and hold out objects to it, each with a mounting error of the arm.
 
-    The folder gets grasp.json, and the recording grasp.rrd of the first RECORDED trials. Raises
+    The folder gets grasp.json, and the recording grasp.rrd of the first three trials. Raises
     VergenceError if an argument is out of range, or a file cannot be written.
     """
     check_trials(trials)
@@ -189,7 +182,7 @@ def grasp(
         settings = ReachSettings(gaze=gaze)
 
         def record(state: ReachState, frame: Frame | None) -> None:
-            if len(made) < RECORDED:
+            if len(made) < 3:  # to keep the file small
                 watch(state.gaze, frame, {"hand": state.phase.value}, state.hand)
 
         made: list[Trial] = []

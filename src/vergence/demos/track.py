@@ -33,15 +33,8 @@ SPEED_M_S = 0.3
 """Maximum speed of the object [m/s]."""
 DEPTH_M = (0.4, 1.0)
 """Range of depths of the object [m]."""
-DIRECTION_RAD = (0.30, 0.22)
-"""Maximum pan and tilt of the object [rad]: well within the eyes' ranges."""
 HIDDEN_S = 0.5
 """Time for which the object is hidden [s]: longer than `GazeSettings.lost_s`."""
-ACQUIRE_S = 0.5
-"""Time from the first appearance to the first frame that counts [s]. After the object was hidden,
-all frames count."""
-ALL_CAMERAS_EVERY = 6
-"""Every Nth frame has the images of all cameras, for the comparison of lenses and the recording."""
 SHORTEST_S, LONGEST_S = 3.0, 3600.0
 """Range of the length of a run [s]."""
 
@@ -53,7 +46,7 @@ class Summary:
     seconds: float
     """Length of the run."""
     frames: int
-    """Number of frames that count: from ACQUIRE_S on, without those that hide the object."""
+    """Number of frames that count: from 0.5 s on, without those that hide the object."""
     in_both: float
     """Share of them with the object's true centre in both narrow images."""
     rms_px: float
@@ -63,7 +56,7 @@ class Summary:
     single_frame_rms_m: float
     """Error of the single-frame estimates."""
     wide_rms_m: float
-    """Error of stereo by the wide images alone, over one frame in ALL_CAMERAS_EVERY."""
+    """Error of stereo by the wide images alone, over one frame in six."""
     found_again: bool
     """Whether the object was in both narrow images within a second of its return."""
 
@@ -82,9 +75,8 @@ def smooth_path(seed: int, seconds: float) -> Callable[[float], Array]:
     def shape(s: Array) -> Array:
         waves = np.sum(weight * np.sin(frequency * s[:, None, None] + phase), axis=2)  # (N, 3)
         depth = np.mean(DEPTH_M) + waves[:, 0] * np.ptp(DEPTH_M) / 2
-        sideways, up = (
-            np.tan(limit) * waves[:, k] for k, limit in zip((1, 2), DIRECTION_RAD, strict=True)
-        )
+        # Largest pan and tilt [rad], well within the eyes' ranges.
+        sideways, up = np.tan(0.30) * waves[:, 1], np.tan(0.22) * waves[:, 2]
         return depth[:, None] * np.stack([np.ones_like(depth), sideways, up], axis=-1)
 
     def fastest(rate: float) -> float:
@@ -122,12 +114,12 @@ def follow(
             return None
         return path_head(time_s)
 
-    head = SimulatedHead(twin, run, path, all_cameras_every=ALL_CAMERAS_EVERY)
+    head = SimulatedHead(twin, run, path, all_cameras_every=6)
     rows: list[tuple[float, ...]] = []
 
     def keep(state: GazeState, frame: Frame | None) -> None:
         watch(state, frame)
-        if frame is None or frame.time_s < ACQUIRE_S or path(frame.time_s) is None:
+        if frame is None or frame.time_s < 0.5 or path(frame.time_s) is None:
             return
         where = twin.true_object()
         fused = single = wide = np.nan  # squared errors

@@ -20,11 +20,6 @@ from vergence.viewer.plots.canvas import BLUE, DPI, GREEN, RED, save
 _COLOURS = (BLUE, GREEN, RED)  # x, y, z
 _OTHERS = ("orange", "black", "0.5")
 """Colours of the depth by other methods, in their order."""
-_PANEL_INCHES, _HEADING_INCHES = (8.0, 5.8), 0.6
-_FIRST = 6
-"""Number of the first figure; parallel motion is on the left, divergent on the right."""
-_LEGEND = 0.25
-"""Room for the legend above the curves, as a share of a panel's height."""
 _STYLE: dict[str, Any] = {"fontsize": 12}
 
 
@@ -38,12 +33,12 @@ def draw_figures(results: Sequence[Replay]) -> Canvas:
 
     Panels of a row have the same scale, to compare parallel with divergent motion.
     """
-    place = {result.figure.number: divmod(result.figure.number - _FIRST, 2) for result in results}
+    # Parallel motion, from Fig. 6 on, is on the left.
+    place = {result.figure.number: divmod(result.figure.number - 6, 2) for result in results}
     rows = sorted({row for row, _ in place.values()})
     columns = sorted({column for _, column in place.values()})
-    width, height = _PANEL_INCHES
     canvas = Canvas(
-        figsize=(width * len(columns), height * len(rows) + _HEADING_INCHES),
+        figsize=(8.0 * len(columns), 5.8 * len(rows) + 0.6),
         dpi=DPI,  # six panels: 1600 x 1800 pixels
         layout="constrained",
     )
@@ -62,7 +57,7 @@ def draw_figures(results: Sequence[Replay]) -> Canvas:
     if any(result.others for result in results):
         for axes in grid[:, 0]:  # of a row that shares one scale: room for the legends
             low, high = axes.get_ylim()
-            axes.set_ylim(low, high + _LEGEND * (high - low))
+            axes.set_ylim(low, high + 0.25 * (high - low))
     return canvas
 
 

@@ -32,7 +32,7 @@ from vergence.viewer.recording import log_curve, recording_file, time_columns
 from vergence.viewer.seen import log_seen_styles
 from vergence.viewer.shapes import lines_of_sight, log_points_style, placed, spread_ellipsoid
 
-_TRAILS = {"world/left_base/trail": None, "world/left_base/recent": style.TRAIL_S}
+_TRAILS = {"world/left_base/trail": None, "world/left_base/recent": 10.0}
 
 
 @contextmanager
@@ -165,7 +165,7 @@ def blueprint(
             ),
             column_shares=[6, 5, 4],
         ),
-        speed=style.SPEED,
+        speed=3.0,  # the eyes' period of 2 pi s is slow to watch
     )
 
 

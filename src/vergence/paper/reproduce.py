@@ -45,8 +45,6 @@ RESULTS = (
     *sorted({f"calibration-{figure.lens}.json" for figure in FIGURES.values()}),
 )
 """Files in the folder of the results, besides learned heads."""
-_LOOKING = 100
-"""Number of the run in which the learned head first looks around; figures have their own."""
 SAMPLES_WITH_IMAGES = 160
 """Approximate number of samples of a figure with images in the recording, to keep it small."""
 
@@ -177,7 +175,7 @@ def _prepare(
             learning = learn_by_looking(
                 twin,
                 before_looking(head),
-                run=_LOOKING,
+                run=100,  # figures have their own
                 progress=lambda task, *done: progress(f"{task}, {lens} lens", *done),
             )
     save_head(found.head, settings.out / f"calibration-{lens}.json")

@@ -14,11 +14,6 @@ from scipy.spatial.transform import Rotation
 from vergence.arrays import Array
 from vergence.geometry.se3 import pose
 
-_VISUAL_GROUPS = (0, 1, 2)
-"""Groups that MuJoCo draws by default; group 3 has the head's collision shapes."""
-_ROOM = 0
-"""Id of body world, with walls and furniture that would hide the head in a view from outside."""
-
 
 @dataclass(frozen=True, eq=False)
 class VisualGeom:
@@ -46,7 +41,8 @@ def visual_geoms(model: mujoco.MjModel) -> list[VisualGeom]:
     """List the visible shapes of all bodies, without the room and the collision shapes."""
     geoms = []
     for k in range(model.ngeom):
-        if model.geom_group[k] not in _VISUAL_GROUPS or model.geom_bodyid[k] == _ROOM:
+        # Group 3 has the head's collision shapes, body 0 the room, which would hide the head.
+        if model.geom_group[k] > 2 or model.geom_bodyid[k] == 0:
             continue
         shape = mujoco.mjtGeom(int(model.geom_type[k])).name.removeprefix("mjGEOM_").lower()
         material = int(model.geom_matid[k])

@@ -18,8 +18,6 @@ from vergence.twin.sensors import with_sensors
 
 OBJECT_NOISE_PX = 0.02
 """Noise of the centre of the twin's sphere [px]; rms over Figs. 6-11 with the profile `ideal`."""
-LONG_LENS_PX = 340.0
-"""Focal length [px] between those of the 2.8 mm and the 4.0 mm lens."""
 BY_HAND = {
     "roll_deg": "roll of the mountings, by hand",
     "axial_mm": "shift of the mountings, by hand",
@@ -83,7 +81,7 @@ def profile_sources(
     if TIME_OFFSET not in estimated:
         errors["delay"] = {TIME_OFFSET: -1e-3 * joints.delay_ms}
     focal_px = head.camera(pair_names(head)[0]).intrinsics.matrix[0, 0]
-    lens: Lens = "4.0mm" if focal_px > LONG_LENS_PX else "2.8mm"
+    lens: Lens = "4.0mm" if focal_px > 340 else "2.8mm"
     of_lens = "focal_percent_40" if lens == "4.0mm" else "focal_percent_28"
     for name, title in {of_lens: "focal lengths, by hand", **BY_HAND}.items():
         if value := getattr(profile.by_hand, name):

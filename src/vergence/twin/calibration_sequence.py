@@ -36,9 +36,6 @@ NARROW_VIEWS = 12
 """Poses of the board for each narrow camera, in view of both wide cameras too."""
 ORIENTATIONS = 60
 """Eye orientations at which the board at rest is seen, for hand-eye calibration."""
-T_LBASE_FIXED = (0.60, 0.0, 0.0), (0.25, -0.2, 0.05)
-"""Position of the centre of the board at rest [m], and its rotation from facing the head [rad]."""
-_MARGIN_RAD = 0.055  # room for the board's white margin, and for cameras that sit a few degrees off
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +73,7 @@ def plan(
             T = _held_board(head, board, cameras, depth_m, lean_rad, rng)
             shots.append(Shot(len(shots), T, straight_gaze(head.kinematics), cameras))
     fixed = len(shots)
-    T_fixed = _facing(board, *map(np.array, T_LBASE_FIXED))
+    T_fixed = _facing(board, (0.60, 0.0, 0.0), np.array([0.25, -0.2, 0.05]))  # [m], [rad]
     # Directions spread evenly over an ellipse (sunflower): pan and tilt vary independently. The
     # innermost three are left out: the calibration would take them for straight gaze.
     k = np.arange(3, orientations + 3) + 0.5
@@ -102,7 +99,8 @@ def visible(head: HeadCalibration, board: Board, name: str, shot: Shot) -> np.nd
     camera = head.camera(name).intrinsics
     uv = project_board(head, board, name, shot)
     size = np.array(camera.size)
-    margin = _MARGIN_RAD * camera.matrix[0, 0]
+    # [rad]: for the board's white margin, and for cameras that sit a few degrees off.
+    margin = 0.055 * camera.matrix[0, 0]
     return ((uv > margin) & (uv < size - 1 - margin)).all(axis=1)
 
 

@@ -22,8 +22,6 @@ SPEED_M_S, ACCELERATION_M_S2 = 0.5, 4.0
 """Limits of the hand's motion: about those of a humanoid's arm."""
 _CLOSING_S = 0.1
 """Time in which the fingers close."""
-_GAIN_HZ = 12.0
-"""Wanted speed per distance to the goal, near the goal."""
 _TICK_S = 0.005
 
 
@@ -68,7 +66,7 @@ class SimulatedHand:
             away = goal - self._position
             distance = float(np.linalg.norm(away))
             braking = np.sqrt(ACCELERATION_M_S2 * distance)  # of half the acceleration
-            speed = min(_GAIN_HZ * distance, braking)
+            speed = min(12.0 * distance, braking)
             wanted = goal_velocity + away * (speed / distance if distance else 0.0)
             wanted *= min(1.0, SPEED_M_S / max(float(np.linalg.norm(wanted)), 1e-9))
             change = wanted - self._velocity

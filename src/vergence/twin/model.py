@@ -36,9 +36,6 @@ DISTORTION: dict[Lens, tuple[float, ...]] = {
 }
 
 
-ANOTHER_HEAD = 0.1
-"""Relative difference of a baseline or focal length above which a calibration is of another head;
-errors of calibration are a few percent."""
 LEAST_JOINTS = 2
 """Fewest joints of an eye: those of the MJCF file."""
 
@@ -171,7 +168,7 @@ def check_calibration_of(truth: HeadCalibration, calibration: HeadCalibration) -
             ),
         ):
             ours, twins = size(calibration), size(truth)
-            if abs(ours / twins - 1) > ANOTHER_HEAD:
+            if abs(ours / twins - 1) > 0.1:  # calibrations err by a few percent
                 found = f"{what} is {ours:.1f} {unit}, the twin's {twins:.1f} {unit}"
                 break
     if found:

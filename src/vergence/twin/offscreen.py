@@ -17,7 +17,6 @@ import numpy as np
 
 from vergence.arrays import Array
 
-_MOST_GEOMS = 10_000
 _opened = threading.local()
 """The OpenGL context of each thread, which belongs to it."""
 _HIDDEN = ("SKYBOX", "HAZE", "SHADOW", "REFLECTION")  # the room is closed: they are not visible
@@ -38,7 +37,7 @@ class Offscreen:
     def __init__(self, model: mujoco.MjModel, formats: Iterable[Format]):
         """Open OpenGL for pictures of some formats; raises the error of the backend."""
         self._model = model
-        self.scene = mujoco.MjvScene(model, _MOST_GEOMS)
+        self.scene = mujoco.MjvScene(model, maxgeom=10_000)
         for flag in _HIDDEN:
             self.scene.flags[getattr(mujoco.mjtRndFlag, f"mjRND_{flag}")] = 0
         self._option, self._view = mujoco.MjvOption(), mujoco.MjvCamera()

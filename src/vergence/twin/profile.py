@@ -29,10 +29,6 @@ Millimetres = Annotated[float, Field(ge=-100, le=100)]
 Percent = Annotated[float, Field(ge=-50, le=50)]
 
 
-MAX_BYTES = 2**14
-"""Largest file of a profile; those that are shipped have at most 2 kB."""
-
-
 class _Section(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -175,5 +171,5 @@ def load_profile(name_or_file: str) -> ErrorProfile:
         "an error profile",
         lambda content: validated(content, ErrorProfile),
         tomllib.loads,
-        most_bytes=MAX_BYTES,
+        most_bytes=2**14,  # those that are shipped have at most 2 kB
     )

@@ -58,13 +58,8 @@ CHARUCO = Charuco(
 """As large as the chessboard; the 2.8 mm lens resolves its markers up to 0.6 m."""
 LEAST_FRAMES, MOST_FRAMES = 12, 10_000
 """Numbers of frames at rest; below 12 some camera has fewer than three views."""
-PART_SEEN = 0.4
-"""Smallest visible part of a ChArUco board for which a camera takes an image."""
 RATE_HZ = 30.0
 """Rate of the frames with moving eyes [Hz], as of usual cameras."""
-_SPEED_RAD_S = 2.5  # of the phase of pan: with 0.2 rad as fast as eyes that pursue a hand
-_AMPLITUDE_RAD = 0.2
-_VERGENCE_RAD = 0.03  # of each eye, to either side
 
 
 @dataclass(frozen=True, eq=False, config=ConfigDict(extra="ignore"))
@@ -171,7 +166,7 @@ def _verging(head: HeadCalibration, shots: list[Shot]) -> list[Shot]:
     moved = []
     for k, shot in enumerate(shots):
         readings = shot.eye_angles.copy()
-        by = _VERGENCE_RAD * np.sin(2.4 * k + np.arange(max(len(left), len(right))))
+        by = 0.03 * np.sin(2.4 * k + np.arange(max(len(left), len(right))))
         readings[left] += by[: len(left)] / head.kinematics.gear_ratios[left]
         readings[right] -= by[: len(right)] / head.kinematics.gear_ratios[right]
         moved.append(replace(shot, eye_angles=readings))
@@ -180,7 +175,7 @@ def _verging(head: HeadCalibration, shots: list[Shot]) -> list[Shot]:
 
 def _seeing(twin: Twin, board: Board, shot: Shot) -> tuple[str, ...]:
     """Select the cameras that see the whole chessboard, or enough of a ChArUco board."""
-    part = 1.0 if board.kind == "chessboard" else PART_SEEN
+    part = 1.0 if board.kind == "chessboard" else 0.4
     head = twin.nominal
     return tuple(n for n in head.cameras if visible(head, board, n, shot).mean() >= part)
 
@@ -211,7 +206,8 @@ def _sweep(time_s: float, factors: Array) -> Array:
     """Compute readings (r,) [rad] of a smooth motion as in Eqs. 22-23, but faster."""
     n = len(factors)
     periods = np.concatenate([[1.0, 1.5, 1.2, 1.8], 2.0 + 0.2 * np.arange(max(0, n - 4))])
-    return _AMPLITUDE_RAD * np.cos(_SPEED_RAD_S * time_s / periods[:n]) / factors
+    # With 0.2 rad and a phase of 2.5 rad/s as fast as eyes that pursue a hand.
+    return 0.2 * np.cos(2.5 * time_s / periods[:n]) / factors
 
 
 def _description(lens: Lens, board: Board, note: str, kinematics: Path | None) -> Description:

@@ -33,12 +33,6 @@ _WINDOW_PX = 128
 """Side [px] of the part with the object, which is rendered again with multisampling. Without it the
 outline has steps, which displace a sphere of 5 px in radius by 0.04 px. Multisampling the whole
 image takes twice as long."""
-_PIXEL_STD_PX = 0.36
-"""Standard deviation of the filter of a pixel's area [px]; with multisampling (0.2 px) and
-interpolation (0.3 px) a pixel covers slightly more than its area."""
-_FILTER_STDS = 2.5
-"""Half width of filters in standard deviations. OpenCV's three give the same 8-bit images and take
-half as long again."""
 _NOISE_MARGIN = 256  # the noise of an image is a window of a larger one, at one of 256 x 256 places
 
 
@@ -102,7 +96,8 @@ def _view_corners(offscreen: Offscreen, data: mujoco.MjData, camera: str) -> Arr
 
 
 def _blurred(image: np.ndarray, std_px: float) -> np.ndarray:
-    side = 2 * round(_FILTER_STDS * std_px) + 1
+    # OpenCV's three standard deviations give the same 8-bit images, and take half as long again.
+    side = 2 * round(2.5 * std_px) + 1
     return cv2.GaussianBlur(image, (side, side), std_px)
 
 
@@ -195,7 +190,9 @@ class Renderer:
         image, blur_px = negative.rendered, self._image.blur_px
         if negative.camera in self._maps:
             x, y = self._maps[negative.camera]
-            std = self._oversampling * float(np.hypot(_PIXEL_STD_PX, blur_px))
+            # The area of a pixel [px]; with multisampling (0.2 px) and interpolation (0.3 px) it
+            # covers slightly more.
+            std = self._oversampling * float(np.hypot(0.36, blur_px))
             image = cv2.remap(_blurred(image, std), x, y, cv2.INTER_LINEAR)
         elif blur_px:
             image = _blurred(image, blur_px)

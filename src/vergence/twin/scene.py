@@ -28,20 +28,12 @@ FINENESS: dict[Scene, float] = {"room": 1.0, "sparse": 2.0, "moving": 1.0}
 picture of the sparse scene takes twice as long."""
 PASSER = "passer"
 """The body that moves by itself, where there is one."""
-_PASSER_M = np.array([0.75, 0.30, 1.20])
-"""Middle of its path in the world: 0.75 m before the head, to its left."""
-_PASSER_SWING_M = 0.19
-"""With its own width it sweeps over a third of a 2.8 mm lens's view."""
-_PASSER_PERIOD_S = 5.0  # there and back, at 0.24 m/s at most
 
 MARGIN_SQUARES = 0.5
 """Width of the white margin, enough for the markers' black frames at the edge."""
 TEXELS_PER_SQUARE = 128
 """Finer than the narrow cameras resolve, since magnified texels would show as steps. A power of
 two, so that mipmaps are halved evenly and do not shift the corners."""
-MARKER_OVERSAMPLING = 4
-"""Oversampling: OpenCV draws a marker on whole pixels, off the centre of its square by up to one
-pixel, so the board is drawn this many times larger and averaged."""
 BLACK, WHITE = 25, 235
 """Grey levels, as of the chessboard (models/cbi_head/assets/make_textures.py)."""
 
@@ -67,18 +59,23 @@ def load_spec(scene: Scene = "room") -> mujoco.MjSpec:
 
 
 def passer_position(time_s: float) -> Array:
-    """Compute the position (3,) [m] of the passing object in the world."""
-    phase = 2 * np.pi * time_s / _PASSER_PERIOD_S
-    swing = np.array([0.0, _PASSER_SWING_M * np.sin(phase), 0.03 * np.sin(2 * phase)])
-    return _PASSER_M + swing
+    """Compute the position (3,) [m] of the passing object in the world.
+
+    It moves 0.75 m before the head, to its left, at 0.24 m/s at most. With its own width it sweeps
+    over a third of a 2.8 mm lens's view.
+    """
+    phase = 2 * np.pi * time_s / 5.0
+    return np.array([0.75, 0.30 + 0.19 * np.sin(phase), 1.20 + 0.03 * np.sin(2 * phase)])
 
 
 def put_charuco(spec: mujoco.MjSpec, board: Charuco) -> None:
     """Replace the chessboard of a scene; VergenceError if OpenCV cannot draw this board."""
     size = np.array([board.squares_x, board.squares_y]) * TEXELS_PER_SQUARE
+    # OpenCV draws a marker off the centre of its square by up to a pixel: it is drawn four times as
+    # large and averaged.
     try:
         drawn = opencv_board(board).generateImage(
-            tuple((MARKER_OVERSAMPLING * size).tolist()), marginSize=0, borderBits=1
+            tuple((4 * size).tolist()), marginSize=0, borderBits=1
         )
     except cv2.error as error:
         raise VergenceError(f"OpenCV cannot draw the board: {error.err}.") from error

@@ -42,8 +42,6 @@ from vergence.twin.sensors import gains_and_offsets, sensor_columns
 
 FRAME_S = 0.033
 """Frame period: 30 Hz, in whole milliseconds, because the physics steps in them."""
-_REST_READINGS = 30
-"""Readings at rest of each joint, from which the noise of all four is known to 7 %."""
 LOOK_S, LOOK_STEP_S = 5.0, 0.1
 """Duration of looking around, and period of its images [s]."""
 FASTER = SLOWEST_S["divergent"] / LOOK_S
@@ -63,8 +61,9 @@ def calibrate_twin(twin: Twin, seed: int, progress: Progress = silent) -> GazeSe
     )
     head = inject_calibration_error(found.head, twin.profile.by_hand, "2.8mm")
     twin.restart(0)
-    # A real driver can measure this too: the standard deviation of the readings at rest.
-    rest = np.array([twin.capture(()).eye_angles for _ in range(_REST_READINGS)])
+    # A real driver can measure this too: the standard deviation of the readings at rest. Thirty of
+    # each of four joints tell it to 7 %.
+    rest = np.array([twin.capture(()).eye_angles for _ in range(30)])
     floor = 5e-5  # more would make the filter of a perfect head lag behind what it sees
     std = float(rest.std(axis=0, ddof=1).mean())
     return GazeSettings(

@@ -20,11 +20,6 @@ from vergence.viewer.layouts import playing, report_view, view_3d
 from vergence.viewer.recording import log_image, set_time
 from vergence.viewer.shapes import placed
 
-FARTHEST_M = 4.0
-"""Largest distance of a drawn point [m]: beyond it points of a short baseline scatter by metres."""
-POINTS = 30_000
-"""Number of drawn points of a pair, within a factor of two."""
-
 
 def depth_blueprint() -> rrb.Blueprint:
     """Lay out dense depth."""
@@ -73,7 +68,8 @@ def log_depth(
         depth_image = rr.EncodedDepthImage(blob=png, media_type="image/png", meter=unit)
         rec.log(f"rectified/{name}", depth_image)
     points, colours = point_cloud(pair, found)
-    near = np.flatnonzero(np.linalg.norm(points, axis=-1) < FARTHEST_M)
-    near = near[:: 1 + len(near) // POINTS]
+    # Beyond 4 m points of a short baseline scatter by metres.
+    near = np.flatnonzero(np.linalg.norm(points, axis=-1) < 4)
+    near = near[:: 1 + len(near) // 30_000]
     cloud = rr.Points3D(points[near].astype(np.float32), colors=colours[near], radii=-1.5)
     rec.log("world/points", cloud)

@@ -27,7 +27,8 @@ def placed(T: Array) -> rr.Transform3D:
 def log_geoms(rec: rr.RecordingStream, geoms: Sequence[VisualGeom]) -> None:
     """Record visible shapes, each fixed to the entity of its body."""
     for k, geom in enumerate(geoms):
-        rgba = geom.rgba * [1, 1, 1, style.ALPHA.get(geom.body, 1)]
+        opacity = 0.35 if geom.body == "object" else 1.0  # most estimates lie inside the object
+        rgba = geom.rgba * [1, 1, 1, opacity]
         shape = _shape(geom, np.round(255 * rgba).astype(np.uint8))
         rec.log(f"world/{geom.body}/shape/{k}", placed(geom.T_body_geom), shape, static=True)
 
@@ -81,7 +82,7 @@ def log_cameras(rec: rr.RecordingStream, head: HeadCalibration) -> None:
                 image_from_camera=image_from_camera,
                 width=camera.width,
                 height=camera.height,
-                image_plane_distance=style.FRUSTUM_WIDTH_M * lens,
+                image_plane_distance=0.095 * lens,  # [m]: all images are equally wide
             ),
             rr.TransformAxes3D(0),  # else the viewer draws axes as long as the frustum
             static=True,

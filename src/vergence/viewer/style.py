@@ -19,23 +19,11 @@ JOINT_COLOURS = {
 BACKGROUND = (236, 239, 243)
 EYE_HEIGHT_M = 1.2
 """Height of the model's eyes above the floor; the neck stays straight in the experiments."""
-ALPHA = {"object": 0.35}
-"""Opacity of bodies that would hide something: most estimates lie inside the object."""
 FITTING, MISFIT = (60, 220, 90), (240, 60, 60)
 """Matches between the images of both eyes."""
 DETECTED, TRUTH = (255, 230, 0), (0, 240, 255)
 ESTIMATE, OLD, RAY, OBJECT = (20, 60, 220), (120, 150, 235), (250, 150, 30), (60, 60, 60)
 CROSS_PX = np.array([[[-9.0, 0.0], [9.0, 0.0]], [[0.0, -9.0], [0.0, 9.0]]])
-RING_PX = 20.0
-FRUSTUM_WIDTH_M = 0.095
-"""Width of a camera's image in the 3-D view, which is drawn at the distance that its lens needs."""
-JPEG_QUALITY = 40
-"""Sensor noise inflates JPEG: 24 kB for a 640 x 480 image with noise of 3 grey levels, and 54 kB
-at quality 85, with no visible difference."""
-TRAIL_S = 10.0
-"""How long an estimate stays bright."""
-SPEED = 3.0
-"""Playback speed, recorded seconds per second: the eyes' period of 2 pi s is slow to watch."""
 HEAD_JOINT_COLOURS = {
     "neck_pitch": (150, 60, 160),
     "neck_roll": (110, 110, 110),

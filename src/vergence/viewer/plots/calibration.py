@@ -14,9 +14,6 @@ from vergence.errors import counted
 from vergence.viewer.plots.canvas import BLUE, GREEN, RED, image_frame, label, panels, save
 from vergence.viewer.style import MAGNIFICATION
 
-SIGNIFICANT = 4.0
-"""Standard errors from which a mean residual is marked: among 108 cells noise alone reaches 3."""
-
 
 def save_coverage(
     path: Path,
@@ -114,7 +111,8 @@ def save_lenses(
             canvas.colorbar(shown, ax=axes, shrink=0.8)
             axes.set_title(f"{name}: {title}", fontsize=10, loc="left")
             axes.set_facecolor("0.85")  # no corner was seen, or the lens reaches no direction
-        beyond = mean_px > SIGNIFICANT * np.sqrt(2) * own.residual_std_px
+        # Among 108 cells noise alone reaches three standard errors.
+        beyond = mean_px > 4 * np.sqrt(2) * own.residual_std_px
         rows, columns = np.nonzero(beyond)
         u, v = (columns + 0.5) * width / mean_px.shape[1], (rows + 0.5) * height / mean_px.shape[0]
         grid[3 * k + 2].plot(u, v, "x", color="white", markersize=5)
