@@ -242,20 +242,6 @@ def test_the_accuracy_of_points_that_both_eyes_do_not_see_is_not_stated():
     assert np.isfinite(far).all()
 
 
-def test_sums_and_differences_are_of_the_points_that_are_located():
-    """By pixels of unequal noise, which do not meet."""
-    rng = np.random.default_rng(0)
-    head = skewed_head(rng)
-    points, joints = rng.uniform([0.4, -0.1, -0.1], [0.8, 0.1, 0.1], (6, 3)), np.zeros(4)
-    left, right = (project_point(head, name, joints, points) for name in WIDE)
-    noise: dict[str, Any] = {"pixel_std_px": [0.1, 0.1, 3.0, 3.0], "reading_std": 1e-3}
-    left, weights = left + rng.normal(0, 1, left.shape), rng.normal(size=6)
-    seen: dict[str, Any] = {"left": left, "right": right, "joints": joints}
-    each = locate(head, **seen, **noise).xyz
-    total, _ = combination(head, weights=weights, **seen, **noise)
-    np.testing.assert_allclose(total, weights @ each)
-
-
 def test_points_that_are_not_seen_do_not_count_with_weight_zero():
     rng = np.random.default_rng(0)
     head = stated(skewed_head(rng))

@@ -28,7 +28,6 @@ from vergence.geometry.kinematics import Side
 from vergence.geometry.parameters import boxplus, change_between, parameter_values
 from vergence.geometry.projection import project_point
 from vergence.self_calibration import filter as self_calibration_filter
-from vergence.self_calibration import prior
 from vergence.self_calibration.filter import learned_head, update
 from vergence.self_calibration.frame import estimate_from_matches, locate_in_frame
 from vergence.self_calibration.kalman import predict
@@ -246,11 +245,6 @@ def test_the_first_frames_are_linearised_again_at_their_end_though_one_was_not_b
         state = predict(update(state, frame), 0.3)
     assert state.settled
     assert found == [2, 4, 7]
-
-
-def test_readings_without_stated_noise_are_given_the_usual_noise():
-    head = replace(head_of(0), accuracy=Accuracy("paper", joint_std=(0.0,)))
-    assert initial_state(head).reading_std == pytest.approx(prior.JOINT_STD_RAD)
 
 
 def test_readings_keep_the_ratio_of_noise_with_which_they_were_calibrated():

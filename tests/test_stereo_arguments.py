@@ -176,12 +176,6 @@ def test_points_and_postures_may_be_lists_and_other_shapes_are_named(head: HeadC
             uses[name](points[:2], postures)
 
 
-def test_one_point_is_a_point_in_messages(head: HeadCalibration):
-    one = np.zeros((1, 2))
-    with pytest.raises(VergenceError, match="Locating 1 point needs"):
-        locate(head, left=one, right=one, joints=np.zeros(3))
-
-
 def test_no_samples_give_no_points(head: HeadCalibration):
     nothing = {"left": np.empty((0, 2)), "right": np.empty((0, 2)), "joints": np.empty((0, 4))}
     located = locate(head, **nothing, pixel_std_px=0.1)

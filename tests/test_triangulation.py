@@ -17,7 +17,7 @@ from vergence.geometry.lens import CameraModel
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
 from vergence.stereo.extrinsics import base_extrinsics, relative_camera_pose
-from vergence.stereo.triangulation import CHUNK, Status, in_body, in_head, triangulate_at
+from vergence.stereo.triangulation import Status, in_body, in_head, triangulate_at
 from vergence.stereo.uncertainty import locate
 
 seeds = st.integers(0, 2**32 - 1)
@@ -113,29 +113,6 @@ def test_noisy_pixels_give_the_most_likely_point(seed: int):
         best = least_squares(misfit, point, args=(k,), xtol=1e-15, ftol=1e-15, x_scale=1e-3).x
         # Equal to first order: points differ by the square of the noise.
         assert np.linalg.norm(point - best) < 1e-3 * np.linalg.norm(best - points[k])
-
-
-def test_many_points_are_found_as_few_are():
-    """Whether they have one posture and noise, or each its own."""
-    rng, n = np.random.default_rng(5), CHUNK + 100
-    head = skewed_head(rng)
-    _, eyes, left, right = random_samples(head, rng, n)
-    left, right = left + rng.normal(0, 1, (n, 2)), right + rng.normal(0, 1, (n, 2))
-    stds = rng.uniform(0.1, 2, (n, 4))
-    for joints, std in ((eyes, stds), (eyes[0], stds[0])):
-        halves = [
-            triangulate_at(
-                head,
-                left=left[half],
-                right=right[half],
-                joints=joints if joints.ndim == 1 else joints[half],
-                pixel_std_px=std if std.ndim == 1 else std[half],
-            )
-            for half in (slice(n // 2), slice(n // 2, n))
-        ]
-        found = triangulate_at(head, left=left, right=right, joints=joints, pixel_std_px=std)
-        for whole, parts in zip(found, zip(*halves, strict=True), strict=True):
-            np.testing.assert_allclose(whole, np.concatenate(parts), rtol=1e-12)
 
 
 # The equations one by one, and their misprints
@@ -344,13 +321,6 @@ def test_rays_are_parallel_up_to_the_same_angle_all_over_the_image(apart_rad, st
         joints=np.zeros(4),
     )
     assert located.status.tolist() == [status]
-
-
-def test_rounding_errors_make_no_point_of_parallel_rays(rng):
-    """Eyes without a vergence, wherever they look, that see the same pixel."""
-    eyes, pixels = np.tile(rng.uniform(-0.3, 0.3, (200, 2)), 2), rng.uniform(100, 400, (200, 2))
-    located = locate(plain_head(0.09, 280.0), left=pixels, right=pixels, joints=eyes)
-    assert (located.status == Status.PARALLEL).all()
 
 
 @pytest.mark.parametrize("ahead_m", [(0.0, 0.2), (0.2, 0.0)])

@@ -322,15 +322,6 @@ def test_a_head_without_joints_locates_with_covariance():
     np.testing.assert_allclose(found.covariance, expected.covariance)
 
 
-def test_names_of_cameras_may_come_as_a_list():
-    head, pair = plain_head(0.09, 300.0), ["left_wide", "right_wide"]
-    point, joints = np.array([[0.6, -0.04, 0.1]]), np.zeros(4)
-    left, right = (project_point(head, name, joints, point) for name in pair)
-    seen = {"left": left, "right": right, "joints": joints, "pixel_std_px": 0.1}
-    found = locate(head, **seen, cameras=pair)  # pyright: ignore[reportArgumentType]
-    np.testing.assert_allclose(found.xyz, point, atol=1e-9)
-
-
 def test_points_of_one_image_have_its_time_stamp_each():
     head = replace(plain_head(0.075, 280.0), time_offset_s=0.04)
     t = np.arange(12) / 30
@@ -343,10 +334,3 @@ def test_points_of_one_image_have_its_time_stamp_each():
         head, left=left[which], right=right[which], joints=eyes[which], joint_time_s=t[which]
     )
     np.testing.assert_array_equal(several.xyz, one.xyz[which])
-
-
-def test_time_stamps_that_go_back_are_refused():
-    head, t = plain_head(0.075, 280.0), np.array([0.0, 0.1, 0.05])
-    seen = np.full((3, 2), 200.0)
-    with pytest.raises(VergenceError, match="increase by at most"):
-        locate(head, left=seen, right=seen, joints=np.zeros((3, 4)), joint_time_s=t)

@@ -91,7 +91,7 @@ class Designs(_Section):
 
 AXES = tuple(Designs.model_fields)
 """Names of the properties, in the order of arrays of designs."""
-CHUNK_AXES = AXES[:3]
+CHUNK_AXES = ("baseline_mm", "focal_px", "square_mm")
 """Properties whose combinations are chunks of a sweep; others are computed at once."""
 
 

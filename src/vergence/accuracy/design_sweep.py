@@ -138,7 +138,7 @@ def most_accurate(sweep: Sweep, distance_m: float) -> tuple[int, ...]:
 
 
 def at_distance(sweep: Sweep, distance_m: float) -> Array:
-    """Return worst_m at one of the sweep's distances; infinite where no image shows a point."""
+    """Select worst_m at one of the sweep's distances; infinite where no image shows a point."""
     k = sweep.settings.workspace.distances_m.index(distance_m)
     return np.nan_to_num(sweep.worst_m[..., k], nan=np.inf)
 
@@ -148,7 +148,7 @@ def _place(sweep: Sweep, index: np.intp) -> tuple[int, ...]:
 
 
 def values_of(settings: DesignSettings, place: tuple[int, ...]) -> dict[str, float]:
-    """Return the values of a design by the names of AXES."""
+    """List the values of a design by the names of AXES."""
     designs = settings.designs
     return {name: getattr(designs, name)[k] for name, k in zip(AXES, place, strict=True)}
 

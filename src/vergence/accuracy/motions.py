@@ -9,8 +9,6 @@ import numpy as np
 from vergence.arrays import Array
 
 Motion = Literal["parallel", "divergent"]
-AMPLITUDE_RAD = 0.25
-"""Amplitude of each joint [rad]; Eqs. 22-23."""
 PERIOD_S = {"parallel": 6 * np.pi, "divergent": 60 * np.pi}
 """Combined period of all joints [s]: the least common multiple of their periods."""
 _TIME_DIVISORS = {
@@ -27,4 +25,4 @@ def eye_angles(motion: Motion, time_s: Array) -> Array:
 
     Parallel: both eyes by Eq. 22. Divergent: the left eye by Eq. 22, the right by Eq. 23.
     """
-    return AMPLITUDE_RAD * np.cos(time_s[..., None] / _TIME_DIVISORS[motion])
+    return 0.25 * np.cos(time_s[..., None] / _TIME_DIVISORS[motion])

@@ -25,8 +25,6 @@ MARGIN_PX = 10.0
 """Distance of the board from the edge of an image [px]: a hand holds it a little off its place."""
 LEAN_RAD = 0.7
 """Maximum turn of a board about each of its axes [rad]: beyond, corners are hard to detect."""
-FILLS = (0.35, 0.9)
-"""Share of an image's width that a board facing it fills, far off and near."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +109,7 @@ def _boards(
     T_lbase_left = camera_pose(mounted, head.T_rbase_lbase, eye_poses(head, gaze)[:, 0])
     lens = mounted.intrinsics
     size = np.ptp(corners, axis=0).max()
-    fills = rng.uniform(*FILLS, count)
+    fills = rng.uniform(0.35, 0.9, count)  # of the width of the image, by a board that faces it
     depth = size * lens.matrix[0, 0] / (fills * lens.width)
     # Anywhere in the image: a later test finds out whether both images show the whole board.
     aside = rng.uniform(-0.5, 0.5, (count, 2)) * (1 - fills)[:, None]
