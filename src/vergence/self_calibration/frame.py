@@ -124,13 +124,12 @@ def _fit(
     state: FilterState, prior: FrameEstimate, C: Array, *, at_head: bool = False
 ) -> tuple[Array, Evidence]:
     """Fit the matches with a prior covariance (K, K); see `robust_fit`."""
-    P, matches = len(state.names), prior.matches
+    P = len(state.names)
     limits = np.append(np.full(P, np.inf), LINEAR_RAD / np.abs(state.head.kinematics.gear_ratios))
 
-    def linearise(change: Array, rows: np.ndarray) -> Linearised:
-        those = Matches(matches.left[rows], matches.right[rows], matches.covariance[rows])
+    def linearise(change: Array) -> Linearised:
         head = change_named(state.head, state.names, change[:P])
-        return _whiten(state, head, prior.joints + change[P:], those)
+        return _whiten(state, head, prior.joints + change[P:], prior.matches)
 
     return robust_fit(
         linearise,

@@ -139,11 +139,9 @@ def add_tracked(
             joints = start[P:] + C[P:, :P] @ np.linalg.solve(C[:P, :P], to_head - start[:P])
             start = np.concatenate([to_head, joints])
 
-        def linearise(z: Array, rows: np.ndarray, k: int = k, start: Array = start) -> Linearised:
+        def linearise(z: Array, k: int = k, start: Array = start) -> Linearised:
             now = estimate.readings, start + z[:-1]
-            found = _whiten(state, tracked, k, now, depth_change=float(z[-1]))
-            y, A = found.residuals[rows], found.by_coordinates[rows]
-            return replace(found, residuals=y, by_coordinates=A)
+            return _whiten(state, tracked, k, now, depth_change=float(z[-1]))
 
         weights, evidence = robust_fit(
             linearise,

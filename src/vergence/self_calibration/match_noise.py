@@ -141,11 +141,6 @@ def design_effect(
     return mean, filled
 
 
-def systematic_inflation(weights: Array, share: float) -> float:
-    """Compute the inflation by systematic lens errors, a share of residuals with weights (N,)."""
-    return share * float(weights.sum()) / 15  # independent polynomials up to the fourth degree
-
-
 def _correlation(between_postures: Array, elapsed_s: Array) -> Array:
     """Compute the correlation of match errors from differences of postures (..., r) [rad]."""
     distance = np.linalg.norm(between_postures, axis=-1)  # Euclidean: K is positive definite

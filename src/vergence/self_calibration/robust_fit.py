@@ -19,7 +19,6 @@ from vergence.self_calibration.match_noise import (
     CUT,
     design_effect,
     noise_variance,
-    systematic_inflation,
     tukey_loss,
     tukey_weights,
 )
@@ -48,7 +47,7 @@ class Linearised:
 
 
 def robust_fit(
-    linearise: Callable[[Array, np.ndarray], Linearised],
+    linearise: Callable[[Array], Linearised],
     C: Array,
     *,
     pixels: Array,
@@ -60,7 +59,7 @@ def robust_fit(
     """Fit residuals with a prior; return weights (N,) and the measurement.
 
     Args:
-        linearise: computes the residuals of some (n,) of the positions after a change (K,).
+        linearise: computes the residuals after a change (K,).
         C: (K, K) prior covariance of the change.
         pixels: (N, 2) positions of the residuals in the image.
         size: width and height of the image [px].
@@ -69,17 +68,16 @@ def robust_fit(
         linear_range: (K,) change of each unknown up to which residuals need not be linearised
             again; None: they always are.
     """
-    start, everyone, n = np.zeros(len(C)), np.arange(len(pixels)), len(pixels)
-    few = np.linspace(0, n, min(n, 150), endpoint=False, dtype=int)  # more start no better
-    found = linearise(start, few if linear_range is None else everyone)
+    start, n = np.zeros(len(C)), len(pixels)
+    found = linearise(start)
     y, A, M = found.residuals, found.by_coordinates, found.by_unknowns
-    first = slice(None) if linear_range is None else few
+    first = np.linspace(0, n, min(n, 150), endpoint=False, dtype=int)  # more start no better
     by_free = M[:, fixed:] @ C[fixed:, fixed:]
     S = by_free @ M[:, fixed:].T
     hypothesis = _best_hypothesis(y[first], A[first], S)
     start[fixed:] = _reweighted(y[first], A[first], S, hypothesis) @ by_free
     if linear_range is None or (np.abs(start) > linear_range).any():
-        found = linearise(start, everyone)
+        found = linearise(start)
         y, A, M = found.residuals, found.by_coordinates, found.by_unknowns
         y = y + A @ (M @ start)  # of the linear model about no change
     S = M @ C @ M.T
@@ -87,7 +85,9 @@ def robust_fit(
     weights, variance = tukey_weights(e), noise_variance(e)
     inflation, filled = design_effect(e / np.sqrt(variance), pixels, size, prior_design_effect)
     # The unknowns absorb most of a systematic error, so residuals do not show it.
-    noise, field = variance * inflation, systematic_inflation(weights, found.systematic)
+    noise = variance * inflation
+    # Systematic errors have 15 independent parts, polynomials up to the fourth degree.
+    field = found.systematic * float(weights.sum()) / 15
     weighted = A * (weights / (noise + field))[:, None]
     N, b = weighted.T @ A, weighted.T @ y
     dual = _dual(N, b, S)
