@@ -15,7 +15,7 @@ from vergence.geometry.projection import project_point
 from vergence.stereo.extrinsics import base_extrinsics, relative_camera_pose
 from vergence.stereo.rectification import rectify
 from vergence.stereo.triangulation import in_body, in_head, triangulate_at
-from vergence.stereo.uncertainty import locate
+from vergence.stereo.uncertainty import joints_at_images, locate
 
 
 @pytest.fixture
@@ -145,7 +145,7 @@ def test_measured_poses_that_are_not_rigid_are_refused(head: HeadCalibration, po
     seen = {"left": np.full((1, 2), 300.0), "right": np.full((1, 2), 290.0)}
     for use in (
         lambda: locate(head, **seen, joints=poses),
-        lambda: locate(head, **seen, joints=poses[None], joint_time_s=[0.0]),
+        lambda: joints_at_images(head, poses[None], [0.0]),
         lambda: rectify(head, poses),
         lambda: relative_camera_pose(head, poses),
     ):

@@ -25,6 +25,7 @@ from vergence.stereo.uncertainty import (
     combination,
     depth_error,
     disparity_error,
+    joints_at_images,
     locate,
     locate_jointly,
 )
@@ -105,31 +106,30 @@ def test_an_offset_in_time_costs_moving_eyes_nothing_once_it_is_calibrated(noise
         for name, own in zip(("left_wide", "right_wide"), noise, strict=True)
     )
 
-    def rms(joints: np.ndarray, **times: np.ndarray) -> float:
-        found = locate(head, left=left, right=right, joints=joints, **times)
+    def rms(joints: np.ndarray) -> float:
+        found = locate(head, left=left, right=right, joints=joints)
         return float(np.sqrt(((found.xyz - point) ** 2).sum(axis=1).mean()))
 
     without = rms(eyes(t + 0.04))
-    assert rms(eyes(t), joint_time_s=t) < 1.1 * without + 1e-5
+    moved = joints_at_images(head, eyes(t), t)
+    assert rms(moved) < 1.1 * without + 1e-5
     assert rms(eyes(t)) > 5e-3
     with pytest.raises(VergenceError, match="increase by at most"):
-        rms(eyes(t), joint_time_s=10 * t)
+        joints_at_images(head, eyes(t), 10 * t)
     with pytest.raises(VergenceError, match="one for each"):
-        rms(eyes(t), joint_time_s=t[:5])
-
+        joints_at_images(head, eyes(t), t[:5])
     with pytest.raises(VergenceError, match="Time stamps of a motion are finite"):
-        rms(eyes(t), joint_time_s=np.where(np.arange(90) == 7, np.nan, t))
-    as_list = rms(eyes(t).tolist(), joint_time_s=t.tolist())
-    assert as_list == rms(eyes(t), joint_time_s=t)
+        joints_at_images(head, eyes(t), np.where(np.arange(90) == 7, np.nan, t))
+    as_list = joints_at_images(head, eyes(t).tolist(), t.tolist())
+    np.testing.assert_array_equal(as_list, moved)
 
 
 @pytest.mark.parametrize("times", [0.0, [[0.0]], [np.nan], [], [0.0, 0.1]])
 def test_one_reading_has_one_finite_time_stamp(times: ArrayLike):
     head, joints = plain_head(0.075, 280.0), [0.0, 0.0, 0.0, 0.0]
-    seen = {"left": [[350.0, 240.0]], "right": [[290.0, 240.0]]}
-    assert locate(head, **seen, joints=[joints], joint_time_s=[0.0]).status == 0
+    np.testing.assert_array_equal(joints_at_images(head, [joints], [0.0]), [joints])
     with pytest.raises(VergenceError, match=r"one for each|finite"):
-        locate(head, **seen, joints=[joints], joint_time_s=times)
+        joints_at_images(head, [joints], times)
 
 
 def test_measured_eye_poses_locate_as_the_angles_do_and_have_their_own_noise():
@@ -326,11 +326,6 @@ def test_points_of_one_image_have_its_time_stamp_each():
     head = replace(plain_head(0.075, 280.0), time_offset_s=0.04)
     t = np.arange(12) / 30
     eyes = 0.2 * np.cos(np.pi * t[:, None] + np.arange(4))
-    point = np.array([0.6, -0.03, 0.02])
-    left, right = (project_point(head, f"{eye}_wide", eyes, point) for eye in EYES)
-    one = locate(head, left=left, right=right, joints=eyes, joint_time_s=t)
     which = np.repeat(np.arange(12), [1, 3, 2] * 4)
-    several = locate(
-        head, left=left[which], right=right[which], joints=eyes[which], joint_time_s=t[which]
-    )
-    np.testing.assert_array_equal(several.xyz, one.xyz[which])
+    several = joints_at_images(head, eyes[which], t[which])
+    np.testing.assert_array_equal(several, joints_at_images(head, eyes, t)[which])

@@ -63,7 +63,6 @@ def locate(
     cameras: tuple[str, str] | None = None,
     pixel_std_px: ArrayLike | None = None,
     reading_std: ArrayLike | None = None,
-    joint_time_s: ArrayLike | None = None,
 ) -> LocatedPoints:
     """Locate points that both eyes see, with their covariances.
 
@@ -82,17 +81,11 @@ def locate(
             corners of the calibration.
         reading_std: noise of each reading: a number, (r,) or (N, r); of measured poses the two
             numbers of rotation [rad] and translation [m]. None: as the calibration found it.
-        joint_time_s: (N,) time stamps of the readings of one motion, at most 0.2 s apart; each is
-            then moved to the moment that its image shows, by the head's time offset, along a
-            polynomial through its neighbours. None: the eyes stood still.
 
     Raises:
         VergenceError: shapes do not fit, readings are not in radians, poses are not rigid, noise is
-            negative, time stamps are not those of one motion, the head has no such camera, or left
-            and right are exchanged.
+            negative, the head has no such camera, or left and right are exchanged.
     """
-    if joint_time_s is not None:
-        joints = _at_the_images(head, joints, joint_time_s)
     seen = sightings(
         head,
         left=left,
@@ -120,8 +113,13 @@ def locate(
     return LocatedPoints(*in_chunks(seen, find))
 
 
-def _at_the_images(head: HeadCalibration, joints: ArrayLike, joint_time_s: ArrayLike) -> Array:
-    """Move readings, or poses, to the moments of the images; VergenceError: see `locate`."""
+def joints_at_images(head: HeadCalibration, joints: ArrayLike, joint_time_s: ArrayLike) -> Array:
+    """Move readings (N, r), or poses (N, 2, 4, 4), of one motion to the moments of its images.
+
+    Each is moved by the head's time offset along a polynomial through its neighbours. The time
+    stamps (N,) [s] increase by at most 0.2 s. VergenceError if they do not, or the joints are not
+    those of the head.
+    """
     joints, joint_time_s = floats("joints", joints), floats("joint_time_s", joint_time_s)
     shape = (2, 4, 4) if measured(joints) else (len(head.kinematics.readings),)
     if joint_time_s.ndim != 1 or joints.shape != (len(joint_time_s), *shape):
