@@ -31,7 +31,7 @@ from vergence.twin.model import (
 )
 from vergence.twin.profile import ErrorProfile, Lens
 from vergence.twin.renderer import Negative, Renderer, overscan_sizes
-from vergence.twin.scene import FINENESS, PASSER, Scene, passer_position
+from vergence.twin.scene import PASSER, Scene, passer_position
 from vergence.twin.sensors import play, read
 
 _TICK_STEPS = 5
@@ -71,9 +71,8 @@ class Twin:
 
         The same seed gives the same head, whatever the lens. The eyes have two joints each or
         more; by default pan, then tilt. Oversampling is that of images that are distorted; None:
-        OVERSAMPLING of the renderer times FINENESS of the scene. `furnish` changes the scene, for
-        example its board. VergenceError if there is no OpenGL, the model or the scene cannot be
-        loaded, the eyes have fewer joints, or the seed is negative.
+        OVERSAMPLING of the renderer. `furnish` changes the scene, for example its board.
+        VergenceError if there is no OpenGL, the eyes have fewer joints, or the seed is negative.
         """
         check_seed(seed)
         self.profile = profile
@@ -93,7 +92,9 @@ class Twin:
         eyes = np.concatenate([chains[eye].mixing for eye in EYES])
         self._mixing: Array = np.asarray(block_diag(np.eye(len(NECK_JOINTS)), eyes))
         self._unmixing = np.linalg.pinv(self._mixing)
-        finer = renderer.OVERSAMPLING * FINENESS[scene] if oversampling is None else oversampling
+        # Aliasing matters more where there is less texture to match.
+        usual = renderer.OVERSAMPLING * (2 if scene == "sparse" else 1)
+        finer = usual if oversampling is None else oversampling
         self._renderer = Renderer(self.model, self.truth, sizes, profile.image, seed, finer)
         self.restart(0)
 

@@ -5,27 +5,18 @@ from __future__ import annotations
 
 from importlib import resources
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal
 
 import cv2
 import mujoco
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.errors import VergenceError
 from vergence.geometry.board import Charuco, opencv_board
 
 Scene = Literal["room", "sparse", "moving"]
 """`room`: a furnished laboratory; `sparse`: plain walls, texture on table and furniture only;
 `moving`: the room, and an object as large as a head that passes."""
-_FILES: dict[Scene, str] = {
-    "room": "scene.xml",
-    "sparse": "scene_sparse.xml",
-    "moving": "scene_moving.xml",
-}
-FINENESS: dict[Scene, float] = {"room": 1.0, "sparse": 2.0, "moving": 1.0}
-"""Oversampling relative to the room. Aliasing matters more where there is less texture to match; a
-picture of the sparse scene takes twice as long."""
 PASSER = "passer"
 """The body that moves by itself, where there is one."""
 
@@ -45,17 +36,9 @@ def model_folder() -> Path:
 
 
 def load_spec(scene: Scene = "room") -> mujoco.MjSpec:
-    """Read a scene: the head, a room, the calibration board, the object and the hand.
-
-    VergenceError if the scene is unknown or cannot be read.
-    """
-    if scene not in _FILES:
-        raise VergenceError(f"There is no scene {scene!r}; there are {', '.join(get_args(Scene))}.")
-    path = model_folder() / _FILES[scene]
-    try:
-        return mujoco.MjSpec.from_file(str(path))
-    except ValueError as error:
-        raise VergenceError(f"Cannot load the model {path}: {error}.") from error
+    """Read a scene: the head, a room, the calibration board, the object and the hand."""
+    name = "scene.xml" if scene == "room" else f"scene_{scene}.xml"
+    return mujoco.MjSpec.from_file(str(model_folder() / name))
 
 
 def passer_position(time_s: float) -> Array:
@@ -69,16 +52,12 @@ def passer_position(time_s: float) -> Array:
 
 
 def put_charuco(spec: mujoco.MjSpec, board: Charuco) -> None:
-    """Replace the chessboard of a scene; VergenceError if OpenCV cannot draw this board."""
+    """Replace the chessboard of a scene."""
     size = np.array([board.squares_x, board.squares_y]) * TEXELS_PER_SQUARE
     # OpenCV draws a marker off the centre of its square by up to a pixel: it is drawn four times as
     # large and averaged.
-    try:
-        drawn = opencv_board(board).generateImage(
-            tuple((4 * size).tolist()), marginSize=0, borderBits=1
-        )
-    except cv2.error as error:
-        raise VergenceError(f"OpenCV cannot draw the board: {error.err}.") from error
+    large = tuple((4 * size).tolist())
+    drawn = opencv_board(board).generateImage(large, marginSize=0, borderBits=1)
     drawn = cv2.resize(drawn, size.tolist(), interpolation=cv2.INTER_AREA)
     grey = np.round(BLACK + drawn * ((WHITE - BLACK) / 255)).astype(np.uint8)
     grey = np.pad(grey, round(MARGIN_SQUARES * TEXELS_PER_SQUARE), constant_values=WHITE)

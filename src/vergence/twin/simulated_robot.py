@@ -73,11 +73,6 @@ def calibrate_twin(twin: Twin, seed: int, progress: Progress = silent) -> GazeSe
     )
 
 
-def look_times() -> Array:
-    """List the times (n,) [s] of the frames."""
-    return np.arange(0.0, LOOK_S, LOOK_STEP_S)
-
-
 def look_around(twin: Twin, cameras: Sequence[str], *, run: int) -> Iterator[Frame]:
     """Yield frames of LOOK_S of quick divergent motion, in which vergence changes.
 
@@ -89,7 +84,7 @@ def look_around(twin: Twin, cameras: Sequence[str], *, run: int) -> Iterator[Fra
         return straight_neck(motion_angles("divergent", FASTER * np.array(time_s - _SETTLE_S)))
 
     twin.advance(_SETTLE_S / 2, command(_SETTLE_S))
-    for time_s in look_times():
+    for time_s in np.arange(0.0, LOOK_S, LOOK_STEP_S):
         twin.advance(round(_SETTLE_S + time_s, 3), command)
         yield twin.capture(cameras)
 
@@ -98,7 +93,7 @@ def learn_by_looking(
     twin: Twin, geometry: VisualGeometry, *, run: int, progress: Progress = silent
 ) -> VisualGeometry:
     """Update a geometry while the twin looks around; see `look_around`."""
-    total = len(look_times())
+    total = len(np.arange(0.0, LOOK_S, LOOK_STEP_S))
     for done, frame in enumerate(look_around(twin, geometry.state.cameras, run=run), start=1):
         geometry = update_geometry(geometry, frame)
         progress("looking around", done, total)
