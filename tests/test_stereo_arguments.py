@@ -197,9 +197,3 @@ def test_no_samples_give_no_points(head: HeadCalibration):
 def test_wrong_shapes_are_named(head, left, right, eyes, says):
     with pytest.raises(VergenceError, match=says):
         locate(head, left=np.zeros(left), right=np.zeros(right), joints=np.zeros(eyes))
-
-
-@pytest.mark.parametrize("cameras", ["left_wide", []])
-def test_cameras_of_a_gaze_are_a_list_of_names(head, cameras):
-    with pytest.raises(VergenceError, match=r"such as \['left_wide'\]; found"):
-        gaze_angles(head, np.array([[1.0, 0.0, 0.0]]), cameras=cameras)
