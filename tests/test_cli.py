@@ -11,7 +11,7 @@ import pytest
 
 from simulated_head import plain_head
 from vergence import __version__, cli
-from vergence.cli.terminal import invocation, plain_ending
+from vergence.cli.terminal import invocation
 from vergence.geometry.head import save_head
 
 
@@ -163,14 +163,6 @@ def test_a_reader_that_stops_reading_ends_the_command_without_a_word():
         process.stdout.close()
         assert process.stderr.read() == b""
     assert process.returncode == 141
-
-
-def test_a_stopped_command_says_the_note_of_its_work_in_place_of_files(capsys):
-    stop = KeyboardInterrupt()
-    stop.add_note("2 of 4 parts finished")
-    with pytest.raises(SystemExit, match="130"), plain_ending("vergence"):
-        raise stop
-    assert capsys.readouterr().err == "vergence: stopped; 2 of 4 parts finished.\n"
 
 
 @pytest.mark.parametrize("name", cli.COMMANDS)

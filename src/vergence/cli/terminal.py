@@ -50,7 +50,6 @@ def plain_ending(program: str) -> Iterator[None]:
     except KeyboardInterrupt as stop:
         done = " ".join(map(str, finished_files))
         note = f"finished before: {done}" if done else "nothing was written"
-        note = next(iter(getattr(stop, "__notes__", ())), note)
         print(f"{program}: stopped; {note}.", file=sys.stderr)
         raise SystemExit(128 + (stop.args[0] if stop.args else signal.SIGINT)) from None
 
