@@ -129,7 +129,8 @@ def states_covariance(head: HeadCalibration) -> bool:
 
 def states_noise(head: HeadCalibration) -> bool:
     """Check whether a head states a covariance, or noise of pixels or readings."""
-    stated = head.accuracy or Accuracy("paper")
+    if (stated := head.accuracy) is None:
+        return False
     levels = stated.camera_std_px or stated.joint_std or stated.parameters
     return bool(levels) or stated.pixel_std_px is not None
 
