@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import product
 
 import cv2
 import numpy as np
@@ -171,8 +170,8 @@ def is_chequered(grey: np.ndarray, grid: Array) -> bool:
 
     Only neighbours are compared, since the light may fall off over the board.
     """
-    places = product((0.2, 0.35, 0.5, 0.65, 0.8), repeat=2)  # some lie on the frames of markers
-    steps = np.array([_alternation(grey, grid, at) for at in places])
+    places = 0.2, 0.35, 0.5, 0.65, 0.8  # some lie on the frames of markers
+    steps = np.array([_alternation(grey, grid, (x, y)) for x in places for y in places])
     medians = np.median(steps, axis=1)
     clear = _CLEAR * contrast(grey, grid)
     if not ((medians > clear).all() or (medians < -clear).all()):
