@@ -101,14 +101,6 @@ class Dataset:
             raise VergenceError(
                 f"No camera is called {camera!r}; the dataset has {', '.join(self.files)}."
             )
-        image = self._decoded(camera, row)
-        if image is None or image.dtype == np.uint8:
-            return image
-        bits = self.description.cameras[camera].bits or max(8, int(image.max()).bit_length())
-        return np.minimum(image >> (bits - 8), 255).astype(np.uint8)
-
-    def _decoded(self, camera: str, row: int) -> np.ndarray | None:
-        """Decode an image (H, W, 3), uint8 or uint16; None if missing or damaged."""
         name, stated = self.files[camera][row], self.description.cameras[camera]
         if name is None:
             return None
@@ -134,7 +126,11 @@ class Dataset:
             return None
         if image is None or image.shape[1::-1] != size or image.dtype not in (np.uint8, np.uint16):
             return None
-        return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+        image = cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+        if image.dtype == np.uint8:
+            return image
+        bits = stated.bits or max(8, int(image.max()).bit_length())
+        return np.minimum(image >> (bits - 8), 255).astype(np.uint8)
 
     def frame(self, row: int) -> Frame:
         """Read a row with all its images; errors as in `image`."""
