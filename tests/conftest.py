@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from mutated_files import Kind
 
 # Derandomised, so that a run can be repeated. No deadline: machines are shared.
-settings.register_profile("vergence", deadline=None, derandomize=True, max_examples=50)
+settings.register_profile("vergence", deadline=None, derandomize=True, max_examples=25)
 settings.load_profile("vergence")
 
 

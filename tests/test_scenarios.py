@@ -61,10 +61,3 @@ def test_a_mistake_ends_a_scenario_in_a_sentence(
     assert error.startswith(f"{script.removesuffix('.py')}: ")
     assert said in error
     assert error.count("\n") == 1
-
-
-@pytest.mark.usefixtures("coarse_images")
-def test_the_benchmark_prints_its_ratio(monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["replay.py", "--samples", "2", "--rounds", "1"])
-    runpy.run_path(str(ROOT / "benchmarks" / "replay.py"), run_name="__main__")
-    assert re.search(r"same frames: \d+\.\d\d", capsys.readouterr().out)
