@@ -68,14 +68,17 @@ def random_pan_tilt(rng: np.random.Generator) -> Kinematics:
     eyes: dict[Side, tuple[Joint, ...]] = {}
     for eye in EYES:
         gains, offsets = rng.uniform(0.96, 1.04, 2), rng.normal(0, np.radians(0.4), 2)
-        eyes[eye] = pan_tilt(
-            eye,
-            pan_gain=gains[0],
-            tilt_gain=gains[1],
-            pan_offset_rad=offsets[0],
-            tilt_offset_rad=offsets[1],
-            tilt_nonorthogonality_rad=rng.normal(0, np.radians(0.3)),
-            tilt_axis_distance_m=rng.normal(0, 0.001),
+        pan, tilt = (
+            replace(joint, gain=gain, offset_rad=offset)
+            for joint, gain, offset in zip(pan_tilt(eye), gains, offsets, strict=True)
+        )
+        eyes[eye] = (
+            pan,
+            replace(
+                tilt,
+                nonorthogonality_rad=rng.normal(0, np.radians(0.3)),
+                axis_distance_m=rng.normal(0, 0.001),
+            ),
         )
     return Kinematics(eyes)
 

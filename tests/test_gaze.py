@@ -160,7 +160,7 @@ def test_an_object_that_moves_slowly_is_pursued_though_readings_are_noisy():
         ({"joint_time_s": -1000.0}, "of one clock .* found 0.0+ s of the images and -1000.0+ s"),
         ({"time_s": 1000.0, "joint_time_s": 1000.0}, "one clock .* 1000.0+ s of the images"),
         ({"time_s": -1000.0, "joint_time_s": -1000.0}, "one clock .* -1000.0+ s of the images"),
-        ({"images": {"left_wide": None}}, "image of left_wide is None"),
+        ({"images": {"left_wide": None}}, "image of left_wide is missing"),
     ],
 )
 def test_time_stamps_of_another_clock_and_missing_images_are_named(changed, said: str):

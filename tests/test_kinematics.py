@@ -31,12 +31,13 @@ from vergence.geometry.se3 import boxminus, hat, pose, rotation, transform
 from vergence.stereo.extrinsics import rebase, relative_camera_pose
 
 FORWARD, LEFT, UP = np.eye(3)
+PAN, TILT = pan_tilt("left")
 angle_pairs = st.tuples(st.floats(-0.7, 0.7), st.floats(-0.7, 0.7)).map(np.array)
 
 
-def left_eye(angles: np.ndarray, **errors: float) -> np.ndarray:
+def left_eye(angles: np.ndarray, *, pan: Joint = PAN, tilt: Joint = TILT) -> np.ndarray:
     """Return the pose of a left eye at pan and tilt."""
-    kinematics = Kinematics({"left": pan_tilt("left", **errors), "right": pan_tilt("right")})
+    kinematics = Kinematics({"left": (pan, tilt), "right": pan_tilt("right")})
     return eye_pose(kinematics, "left", np.concatenate([angles, 9 * np.ones_like(angles)], -1))
 
 
@@ -53,15 +54,15 @@ def test_pan_comes_first_about_axes_that_intersect(angles: np.ndarray):
 
 @given(angle_pairs)
 def test_true_angles_are_gain_times_reading_plus_offset(reading: np.ndarray):
-    errors = dict(pan_gain=1.02, tilt_gain=0.97, pan_offset_rad=0.01, tilt_offset_rad=-0.02)
+    pan, tilt = replace(PAN, gain=1.02, offset_rad=0.01), replace(TILT, gain=0.97, offset_rad=-0.02)
     true = np.array([1.02 * reading[0] + 0.01, 0.97 * reading[1] - 0.02])
-    np.testing.assert_allclose(left_eye(reading, **errors), left_eye(true), atol=1e-14)
+    np.testing.assert_allclose(left_eye(reading, pan=pan, tilt=tilt), left_eye(true), atol=1e-14)
 
 
 @given(angle_pairs)
 def test_a_tilt_axis_out_of_square_turns_about_x(angles: np.ndarray):
     tilt_axis = rotation(angles[0] * UP) @ rotation(0.03 * FORWARD) @ LEFT
-    R = left_eye(angles, tilt_nonorthogonality_rad=0.03)[:3, :3]
+    R = left_eye(angles, tilt=replace(TILT, nonorthogonality_rad=0.03))[:3, :3]
     np.testing.assert_allclose(
         R, rotation(angles[1] * tilt_axis) @ rotation(angles[0] * UP), atol=1e-14
     )
@@ -70,7 +71,7 @@ def test_a_tilt_axis_out_of_square_turns_about_x(angles: np.ndarray):
 @given(angle_pairs)
 def test_a_tilt_axis_ahead_of_the_pan_axis_moves_with_pan_only(angles: np.ndarray):
     expected = 0.002 * (rotation(angles[0] * UP) @ FORWARD)
-    T = left_eye(angles, tilt_axis_distance_m=0.002)
+    T = left_eye(angles, tilt=replace(TILT, axis_distance_m=0.002))
     np.testing.assert_allclose(T[:3, 3], expected, atol=1e-17)
 
 

@@ -98,7 +98,7 @@ def detect(
     image, intrinsics = frame.images[camera], settings.calibration.camera(camera).intrinsics
     before = earlier.get(camera)
     if image is None:
-        raise VergenceError(f"The image of {camera} is None; leave out cameras that gave none.")
+        raise VergenceError(f"The image of {camera} is missing: leave such a camera out.")
     check_image_fits(camera, intrinsics, image.shape, whose="the frame's")
     found = detector(image, intrinsics, None if before is None else before.pixel)
     if found is None:

@@ -8,7 +8,7 @@ linear combination of readings. The default of an eye is the paper's: pan, a rig
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import field, replace
+from dataclasses import field
 from functools import cached_property
 from itertools import pairwise, zip_longest
 from typing import Literal
@@ -44,18 +44,10 @@ GEARED = 3.0
 is of another size. A reading of vergence, which turns each eye by its half, does not."""
 
 
-def pan_tilt(eye: Side, **errors: float) -> tuple[Joint, Joint]:
-    """Describe the joints of the paper's eye: pan about +z, then tilt about +y.
-
-    Errors are named by joint and field, such as pan_gain and tilt_nonorthogonality_rad.
-    """
-    fields: dict[str, dict[str, float]] = {"pan": {}, "tilt": {}}
-    for name, value in errors.items():
-        joint, _, error = name.partition("_")
-        fields[joint][error] = value
+def pan_tilt(eye: Side) -> tuple[Joint, Joint]:
+    """Describe the joints of the paper's eye: pan about +z, then tilt about +y."""
     pan, tilt = (
-        replace(Joint(name, np.array(AXIS_NAMES[name]), {f"{eye}_{name}": 1.0}), **own)
-        for name, own in fields.items()
+        Joint(name, np.array(AXIS_NAMES[name]), {f"{eye}_{name}": 1.0}) for name in ("pan", "tilt")
     )
     return pan, tilt
 

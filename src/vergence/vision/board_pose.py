@@ -41,7 +41,7 @@ def determines_pose(points: Array, seen: np.ndarray) -> np.ndarray:
 class BoardViews(Residual):
     """Corners of a board in V views of one camera; the board's poses T_cam_target are latent.
 
-    The camera is given or, where it is None, the shared block "lens". With the shared block
+    The camera is given, or else it is the shared block "lens". With the shared block
     "T_cam_reference" the latent poses are those in another, rigidly connected camera.
     """
 
