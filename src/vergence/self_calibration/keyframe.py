@@ -8,6 +8,7 @@ present images, and the present frame becomes the keyframe.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -139,12 +140,8 @@ def add_tracked(
             joints = start[P:] + C[P:, :P] @ np.linalg.solve(C[:P, :P], to_head - start[:P])
             start = np.concatenate([to_head, joints])
 
-        def linearise(z: Array, k: int = k, start: Array = start) -> Linearised:
-            now = estimate.readings, start + z[:-1]
-            return _whiten(state, tracked, k, now, depth_change=float(z[-1]))
-
         weights, evidence = robust_fit(
-            linearise,
+            partial(_whiten, state, tracked, k, estimate.readings, start),
             np.asarray(block_diag(C, 1.0), float),
             pixels=np.tile(tracked.matches[k].left, (2, 1)),
             size=state.head.camera(state.cameras[k]).intrinsics.size,
@@ -166,17 +163,17 @@ def _whiten(
     state: FilterState,
     tracked: TrackedFeatures,
     k: int,
-    now: tuple[Array, Array],
-    *,
-    depth_change: float,
+    readings: Array,
+    start: Array,
+    further: Array,
 ) -> Linearised:
     """Compute residuals (2 N,) of camera k in standard deviations, all u before all v.
 
-    Now there are readings (r,) and a change (K,) of the unknowns; the last one is the relative
-    change of all depths.
+    The readings (r,) are those now. The K unknowns are changed by start (K,) and by a further
+    change (K + 1,), the last number being the relative change of all depths.
     """
     assert state.keyframe is not None
-    readings, change = now
+    change = start + further[:-1]
     P, r, matches = len(state.names), len(readings), tracked.matches[k]
     head = change_named(state.head, state.names, change[:P])
     joints = state.keyframe.joints + change[P + r :], readings + change[P : P + r]
@@ -186,9 +183,9 @@ def _whiten(
         coordinates.T_second_first,
         earlier=matches.left,
         later=matches.right,
-        depths_m=tracked.depths_m[k] * np.exp(depth_change),
+        depths_m=tracked.depths_m[k] * np.exp(further[-1]),
     )
-    good = np.isfinite(off).all(axis=1) & np.isfinite(A).all(axis=(1, 2))
+    good = np.asarray(np.isfinite(off).all(axis=1) & np.isfinite(A).all(axis=(1, 2)))
     by_depth = 0.05 * A[..., -1]  # by the relative error of each depth, an assumption
     C = state.match_scale**2 * matches.covariance + np.einsum("ni,nj->nij", by_depth, by_depth)
     C[~good] = np.eye(2)

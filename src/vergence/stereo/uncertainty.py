@@ -202,7 +202,8 @@ def combination(
         )
     known = pair_covariance(head, seen.cameras)
     total, covariance = np.zeros(3), np.zeros((3, 3))
-    by_readings, by_head = np.zeros((3, seen.reading_std.shape[-1])), 0.0
+    by_readings = np.zeros((3, seen.reading_std.shape[-1]))
+    by_head = np.zeros((3, len(known[0]) if known else 0))
     counting = np.flatnonzero(weights)
     for start in range(0, len(counting), CHUNK):
         part = counting[start : start + CHUNK]
@@ -217,7 +218,7 @@ def combination(
             covariance += covariances_of(by_reading).sum(axis=0)
         if known:
             by_head = by_head + (by_head_parameters(located, some) * own).sum(axis=0)
-    if known and len(counting):
+    if known:
         covariance += _sandwich(by_head, known[0])
     return total, covariance + by_readings @ by_readings.T
 
