@@ -69,7 +69,8 @@ def test_what_a_poor_recording_lacks_is_named(given: Recording | Observations, w
 
 
 def test_a_good_recording_is_not_doubted():
-    assert said_of(Recording(reach_rad=(0.3, 0.3))) == ""
+    of_the_method = "the paper's method states no accuracy; calibrate with --method bundle."
+    assert said_of(Recording(reach_rad=(0.3, 0.3))) == of_the_method
 
 
 def test_a_camera_that_sees_boards_at_one_angle_from_one_side_is_refused():
