@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from vergence.arrays import Array
 from vergence.geometry.head import HeadCalibration
@@ -78,7 +77,10 @@ class FilterState:
     @property
     def frame_covariance(self) -> Array:
         """(P + r, P + r) prior covariance of head and readings in a frame."""
-        return np.asarray(block_diag(self.covariance, np.diag(self.reading_std_rad**2)), float)
+        P, stds = len(self.names), self.reading_std_rad
+        C = np.zeros(2 * (P + len(stds),))
+        C[:P, :P], C[P:, P:] = self.covariance, np.diag(stds**2)
+        return C
 
 
 @dataclass(frozen=True, eq=False)
