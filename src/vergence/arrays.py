@@ -101,6 +101,13 @@ Transform = Annotated[
     _serialise,
 ]
 """A (4, 4) rigid transform."""
+_validate_many, _serialise_many = _shaped(None, 4, 4)
+Transforms = Annotated[
+    Array,
+    PlainValidator(lambda value: rigid(_validate_many.func(value))),  # pyright: ignore
+    _serialise_many,
+]
+"""Rigid transforms (n, 4, 4)."""
 
 
 def floats(name: str, value: ArrayLike) -> Array:

@@ -8,25 +8,36 @@ the noise of readings and of corners is estimated as well. `residuals` has the m
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.linalg import block_diag, cho_solve
 
 from vergence.arrays import Array, single_blas_thread
 from vergence.calibration.bundle_findings import BundleFindings
-from vergence.calibration.bundle_start import BundleProblem, PoseObservations, bundle_problem
+from vergence.calibration.bundle_start import (
+    BundleProblem,
+    PoseObservations,
+    bundle_problem,
+    with_shared_errors,
+)
+from vergence.calibration.intrinsics import Intrinsics
 from vergence.calibration.observations import Observations
-from vergence.calibration.residuals import Reprojection
+from vergence.calibration.pose_errors import SmoothErrors
+from vergence.calibration.residuals import SMOOTH, Reprojection
 from vergence.calibration.systematic_errors import systematic_errors
 from vergence.errors import VergenceError
 from vergence.estimation.adjustment import Adjustment, adjust
+from vergence.estimation.linear import cholesky, eliminate
 from vergence.estimation.noise import Level
+from vergence.estimation.observability import UNKNOWN
 from vergence.estimation.residual import OUTLIER, Levels, Residual
 from vergence.findings import Finding
+from vergence.geometry.camera import intrinsics_names
 from vergence.geometry.head import HeadCalibration, main_pair, parameter_names
 from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.lens import COEFFICIENTS
-from vergence.geometry.parameters import redundant_offsets
+from vergence.geometry.parameters import camera_columns, redundant_offsets
 from vergence.geometry.se3 import POSE
 
 SHOWN_SYSTEMATIC = 0.3
@@ -63,6 +74,8 @@ class NoiseModel:
     for poses, ([rad], [m]); None: estimated; 0: the readings are exact."""
     outlier: float = OUTLIER
     """Standard deviations beyond which a corner or a reading loses weight."""
+    levels: Levels = field(default_factory=dict)
+    """Noise levels by name, of an estimate before; they are not estimated again."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,6 +148,7 @@ def bundle_adjust(
     fixed: Collection[str] | None = None,
     noise: NoiseModel = _ESTIMATED,
     priors: Sequence[Residual] = (),
+    intrinsics: Mapping[str, Intrinsics] | None = None,
 ) -> BundleEstimate:
     """Estimate a whole head at once: lenses, mountings, the pose between the eyes, axes, time.
 
@@ -148,12 +162,20 @@ def bundle_adjust(
         fixed: names of parameters that keep their start; None: fixed_by_default.
         noise: what is known of it.
         priors: other measurements of the head, such as `priors.EyeDistance`.
+        intrinsics: by camera, as images alone determine them. They are kept, and all else is as
+            uncertain as they make it; None: readings take part in estimating them.
 
     Raises:
         VergenceError: an unknown parameter is named, joint_std is that of other readings, a reading
             that is needed is not finite, or there are fewer data than unknowns.
     """
     timed = observations.timing is not None
+    if intrinsics is not None:
+        cameras = {
+            name: replace(mounted, intrinsics=intrinsics[name].camera)
+            for name, mounted in start.cameras.items()
+        }
+        start = replace(start, cameras=cameras)
     fixed = fixed_by_default(start, timed=timed) if fixed is None else fixed
     unknown = set(fixed) - set(parameter_names(start))
     if unknown:
@@ -161,6 +183,9 @@ def bundle_adjust(
             f"There is no parameter {min(unknown)!r} to fix; there are, for example, "
             "left_wide.fx, left_wide.T_eye_cam.rx, left.pan_gain and time_offset_s."
         )
+    if intrinsics is not None:
+        lenses = {name: intrinsics_names(each.camera) for name, each in intrinsics.items()}
+        fixed = {*fixed, *(f"{name}.{each}" for name in lenses for each in lenses[name])}
     joint_std = noise.joint_std
     given = None if joint_std is None else np.maximum(np.atleast_1d(joint_std), EXACT)
     problem = bundle_problem(
@@ -171,15 +196,15 @@ def bundle_adjust(
         T_cam_target=T_cam_target,
         least_blocks=OWN_LEVELS if given is None else np.inf if len(given) == 1 else 0,
     )
-    levels = _levels(problem, noise.pixel_std_px, given)
+    if given is None and problem.measures_eyes:
+        problem = with_shared_errors(problem)
+    levels = _levels(problem, noise, given)
     residuals = (*problem.residuals, *priors)
     found = adjust(residuals, problem.start, levels, outlier=noise.outlier)
-    return _estimate(problem, start, observations, found, levels)
+    return _estimate(problem, start, observations, found, levels, intrinsics or {})
 
 
-def _levels(
-    problem: BundleProblem, pixel_std_px: float | None, joint_std: Array | None
-) -> list[Level]:
+def _levels(problem: BundleProblem, noise: NoiseModel, joint_std: Array | None) -> list[Level]:
     """List the noise levels: that of the cameras, and those of the readings."""
     names = list(dict.fromkeys(problem.readings.level))
     if joint_std is not None and len(joint_std) not in (1, len(names)):
@@ -192,8 +217,8 @@ def _levels(
         of_targets = dict.fromkeys(measured)
         levels = [Level(name, GENEROUS_JOINT, floor=FLOOR_TARGET) for name in of_targets]
     else:
-        pixel = FIRST_PX if pixel_std_px is None else pixel_std_px
-        levels = [Level(measured, pixel, pixel_std_px is not None, floor=FLOOR_PX)]
+        pixel = FIRST_PX if noise.pixel_std_px is None else noise.pixel_std_px
+        levels = [Level(measured, pixel, noise.pixel_std_px is not None, floor=FLOOR_PX)]
     for k, name in enumerate(names):
         latent = tuple(i for i, each in enumerate(problem.readings.level) if each == name)
         turned = 1.0  # angle of a joint by one radian of its reading: see `factors`
@@ -206,7 +231,14 @@ def _levels(
         levels.append(
             Level(name, first, joint_std is not None, usual=USUAL_JOINT / turned, latent=latent)
         )
-    return levels
+    if problem.readings.smooth is not None:
+        levels += [Level(name, GENEROUS_JOINT, floor=FLOOR_TARGET) for name in SMOOTH]
+    return [
+        replace(level, start=noise.levels[level.name], given=True)
+        if level.name in noise.levels
+        else level
+        for level in levels
+    ]
 
 
 def _estimate(
@@ -215,26 +247,43 @@ def _estimate(
     observations: Observations | PoseObservations,
     found: Adjustment,
     levels: Sequence[Level],
+    intrinsics: Mapping[str, Intrinsics],
 ) -> BundleEstimate:
     x, measured, names = found.x, found.residuals[0], tuple(start.cameras)
     detections = problem.measured.detections
     T_base_eye = np.full((len(observations.placement), 2, 4, 4), np.nan)
     T_base_eye[detections.views, detections.eyes] = detections.eye_poses(x)
     covariance, camera_px = found.observability.covariance, {}
+    c = len(covariance)
+    lenses, by_lenses, scale_std = _consider(found, intrinsics)
+    if intrinsics:
+        of_lenses = block_diag(*(each.covariance for each in intrinsics.values()))
+        covariance = covariance + (by_lenses @ of_lenses @ by_lenses.T)[:c, :c]
     systematic: dict[str, float] = {}
     pixel_px = found.levels[levels[0].name]
     if isinstance(measured, Reprojection):
-        systematic, added = systematic_errors(found)
-        c = len(covariance)
+        basis = follows = found.observability.basis
+        weights = found.levels
+        if intrinsics:  # the lenses were fitted to images alone, before boards of any pose
+            basis, follows = lenses, by_lenses
+            weights = {**weights, **{k: UNKNOWN * weights[k] for k in problem.readings.level}}
+        systematic, added = systematic_errors(found, basis, follows, weights)
         covariance = covariance + added[:c, :c]
         for k, name in enumerate(names):
             scales = measured.noise_scale[detections.camera == k]
             rms = np.sqrt(np.mean(scales**2)) if len(scales) else 1.0
             camera_px[name] = pixel_px * float(rms)
-    findings = BundleFindings(observations, problem, found, levels, systematic)
+    findings = BundleFindings(observations, problem, found, levels, systematic, scale_std)
+    joint_std = [found.levels[name] for name in dict.fromkeys(problem.readings.level)]
+    smooth = next((each for each in problem.priors if isinstance(each, SmoothErrors)), None)
+    head = replace(x["head"], neck=start.neck, pose_errors={})
+    if smooth is not None:
+        joint_std = smooth.remaining_std(found.levels, np.array(joint_std))
+        head = replace(head, pose_errors=smooth.of_eyes(x))
+        covariance = covariance + smooth.in_constants(x, found.levels)
     assumed_px = measured.systematic_px if isinstance(measured, Reprojection) else 0.0
     return BundleEstimate(
-        head=replace(x["head"], neck=start.neck),
+        head=head,
         parameters=parameter_names(start),
         covariance=covariance,
         pixel_std_px=pixel_px,
@@ -244,7 +293,7 @@ def _estimate(
             for name, px in systematic.items()
             if px > max(SHOWN_SYSTEMATIC * pixel_px, assumed_px)
         },
-        joint_std=tuple(found.levels[name] for name in dict.fromkeys(problem.readings.level)),
+        joint_std=tuple(joint_std),
         T_lbase_target=dict(zip(problem.placements.tolist(), x["boards"], strict=True)),
         board_scale=x["board_scale"],
         T_base_eye=T_base_eye,
@@ -253,6 +302,24 @@ def _estimate(
         findings=findings.all(),
         levels=found.levels,
     )
+
+
+def _consider(
+    found: Adjustment, intrinsics: Mapping[str, Intrinsics]
+) -> tuple[Array, Array, float]:
+    """Let lenses that were kept be uncertain: the consider parameters of Schmidt (1966).
+
+    Returns directions (G, l) of the lenses, how all shared unknowns follow them (G, l), and the
+    standard deviation of the size of the board.
+    """
+    x, basis = found.x, found.observability.basis
+    columns = [camera_columns(x["head"], name)[each.free] for name, each in intrinsics.items()]
+    lenses = np.eye(x.size)[:, np.concatenate([np.zeros(0, dtype=int), *columns])]
+    both = found.linear.onto(np.concatenate([basis, lenses], axis=1))
+    S, F = eliminate(both, found.levels).schur, basis.shape[1]
+    free, row = cholesky(S[:F, :F]), basis[x.columns("board_scale")[0]]
+    follows = lenses - basis @ cho_solve(free, S[:F, F:])
+    return lenses, follows, float(np.sqrt(row @ cho_solve(free, row)))
 
 
 def _residuals(problem: BundleProblem, found: Adjustment, views: int) -> dict[str, Array]:

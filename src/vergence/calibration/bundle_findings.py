@@ -11,6 +11,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.calibration.bundle_start import BundleProblem, PoseObservations
 from vergence.calibration.observations import Observations, most_seen
+from vergence.calibration.priors import BoardSize
 from vergence.calibration.residuals import Readings, Reprojection
 from vergence.errors import listed
 from vergence.estimation.adjustment import Adjustment
@@ -29,6 +30,8 @@ SURE = 5.0
 than noise makes in any recording."""
 LEAST_APART_S = 0.001
 """Least such time that is worth a warning: 0.06 degrees at a rad/s."""
+SURE_SIZE = 2.0
+"""Standard deviations from which another size of the board is noted."""
 LOST = 0.02
 """Share of corners without weight that is noted; good ones lose it once in 3000."""
 NOISY, NOISY_RAD = 5.0, np.radians(0.2)
@@ -78,6 +81,8 @@ class BundleFindings:
     found: Adjustment
     levels: Sequence[Level]
     systematic_px: Mapping[str, float]
+    scale_std: float
+    """Of the size of the board, relative to the stated one."""
 
     def left_out(self) -> dict[str, np.ndarray]:
         """Select by camera the corners (V, K) that must not take part in later figures."""
@@ -105,6 +110,7 @@ class BundleFindings:
             _lost_corners(self),
             _apart_in_time(self),
             _systematic(self),
+            _board_size(self),
         )
         return by_severity(each for part in parts for each in part)
 
@@ -262,7 +268,8 @@ def _unobservable(of: BundleFindings) -> Iterator[Finding]:
             parts = {o: [word[i] for i in sorted(large) if owner[i] == o] for o in owners}
             subject = " together with ".join(f"{o} {listed(parts[o])}".strip() for o in owners)
             sentence = f"{subject}: {what}; {_missing_motion(of)}."
-            lost = what.startswith("not") and any(o.endswith("T_eye_cam") for o in owners)
+            lost = of.found.converged and what.startswith("not")
+            lost = lost and any(owner.endswith("T_eye_cam") for owner in owners)
             make = void if lost else warning
             yield make("unobservable", sentence, ", ".join(owners))
 
@@ -436,3 +443,21 @@ def _systematic(of: BundleFindings) -> Iterator[Finding]:
             "over the image."
         )
         yield warning("lens-misfit", sentence, worst)
+
+
+def _board_size(of: BundleFindings) -> Iterator[Finding]:
+    """Note what measured poses of the eyes alone say of the board's size."""
+    prior = next((each for each in of.problem.priors if isinstance(each, BoardSize)), None)
+    if prior is None or not isinstance(of.observations, Observations):
+        return
+    information = 1 / of.scale_std**2
+    by_poses = max(information - 1 / prior.std**2, 1e-12)
+    change, std = (of.found.x["board_scale"] - 1) * information / by_poses, by_poses**-0.5
+    if abs(change) > SURE_SIZE * std:
+        square_mm = 1e3 * of.observations.board.square_m
+        sentence = (
+            f"By the eye poses a square of the board measures {square_mm * (1 + change):.3f} +- "
+            f"{square_mm * std:.3f} mm, and {square_mm:.3f} +- {square_mm * prior.std:.3f} mm by "
+            f"its description; {square_mm * of.found.x['board_scale']:.3f} mm is used. Measure it."
+        )
+        yield note("board-size", sentence)

@@ -10,8 +10,16 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.observations import Observations, missing_reading
+from vergence.calibration.pose_errors import (
+    SmoothErrors,
+    at_postures,
+    pose_errors_block,
+    smooth_functions,
+)
 from vergence.calibration.priors import (
+    BOARD_SCALE,
     LAST_ASSUMED,
+    BoardSize,
     board_scale_block,
     boards_block,
     head_block,
@@ -37,6 +45,7 @@ from vergence.data.timing import (
     stencil,
 )
 from vergence.errors import VergenceError
+from vergence.estimation.linear import linearise
 from vergence.estimation.residual import Residual
 from vergence.estimation.variables import Latent, Variables
 from vergence.geometry.board import corner_points
@@ -93,6 +102,12 @@ class BundleProblem:
     """(P,) the numbers of the boards' placements."""
     contradicting: np.ndarray
     """(C, V) of bool: images left out, since no turn of the eye puts the board where others do."""
+
+    @property
+    def measures_eyes(self) -> bool:
+        """Whether images show how far measured poses of the eyes err."""
+        poses = self.readings.postures.T_base_eye_read is not None
+        return poses and isinstance(self.measured, Reprojection)
 
     @property
     def residuals(self) -> tuple[Residual, ...]:
@@ -164,7 +179,7 @@ def bundle_problem(
             noise_scale=np.ones(len(camera)),
             systematic_px=observations.systematic_px,
         )
-    priors = []
+    priors: list[Residual] = []
     for name, mounted in cameras.items():
         last = LAST_ASSUMED.get(mounted.intrinsics.model)
         priors += lens_priors(mounted.intrinsics, f"{name}.{last}" not in fixed, name)
@@ -194,7 +209,24 @@ def bundle_problem(
         )
     level = reading_levels(detections, start.kinematics, least_blocks)
     readings = _readings(observations, postures, level)
+    if sized and isinstance(observations, Observations):
+        board = observations.board
+        std = BOARD_SCALE if board.square_std_m is None else board.square_std_m / board.square_m
+        priors.append(BoardSize(std=std))
     return BundleProblem(measured, readings, tuple(priors), x, numbers, contradicting)
+
+
+def with_shared_errors(problem: BundleProblem) -> BundleProblem:
+    """Let neighbouring postures share a part of the errors of measured poses."""
+    measured, x, postures = problem.measured, problem.start, problem.readings.postures
+    by_images = linearise([measured], x, [measured.error(x)], [measured.seen.astype(float)])
+    functions = smooth_functions(postures, by_images.ll[0])
+    return replace(
+        problem,
+        readings=replace(problem.readings, smooth=at_postures(functions, postures)),
+        priors=(SmoothErrors(functions=functions), *problem.priors),
+        start=replace(x, shared={**x.shared, "pose_errors": pose_errors_block(functions)}),
+    )
 
 
 def _stacked(

@@ -17,7 +17,6 @@ from vergence.calibration.cross_validation import (
     bundle_of_part,
     cross_validate,
     paper_of_part,
-    predicting_better,
 )
 from vergence.calibration.detection import detect_target
 from vergence.calibration.initial import SequentialCalibration, calibrate_sequentially
@@ -96,11 +95,13 @@ def calibrate(
     estimate, findings = None, list(observations.findings)
     of_part = partial(paper_of_part, views)
     if method == "bundle":
-        estimate = bundle_adjust(start.head, observations, T_cam_target=views.T_cam_target)
+        # Measured poses may err in ways that a lens would follow.
+        lenses = None if observations.T_base_eye is None else views.intrinsics
+        estimate = bundle_adjust(
+            start.head, observations, T_cam_target=views.T_cam_target, intrinsics=lenses
+        )
         findings = [*select(estimate.findings, "note", "warning", code=WRONG_VIEW), *findings]
         views = views.without(estimate.left_out)
-        estimate, preferred = predicting_better(start.head, views, estimate)
-        findings += preferred
         of_part = partial(bundle_of_part, estimate, views)
     progress("calibrating", 2, 3)
     found = start if estimate is None else estimate

@@ -8,18 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.bundle_adjustment import BundleEstimate, NoiseModel, bundle_adjust
 from vergence.calibration.initial import calibrate_sequentially
-from vergence.calibration.intrinsics import FOLDS
+from vergence.calibration.intrinsics import FOLDS, calibrate_intrinsics
 from vergence.calibration.observations import Observations, camera_eyes
 from vergence.calibration.prepared_views import PreparedViews
 from vergence.errors import VergenceError
-from vergence.findings import Finding, note, void, warning
+from vergence.findings import Finding, void, warning
 from vergence.geometry.board import corner_points
 from vergence.geometry.camera import project
 from vergence.geometry.head import HeadCalibration, main_pair, states_covariance
@@ -35,10 +34,6 @@ from vergence.vision.board_pose import LEAST_CORNERS, board_poses, seen_corners
 
 EACH_BELOW = 20
 """Number of views below which leave-one-out is used."""
-BEYOND_CHANCE = 2.0
-"""Standard errors by which a prediction must be better to be preferred."""
-BOARD_SIZE = 0.001
-"""Relative error of the board's size from which it is reported."""
 JACKKNIFE_LIMITS = 2.0, 10.0
 """Ratios of standard deviations from which the stated ones are doubted (the folds determine it to
 about a tenth), and from which the result is void."""
@@ -180,6 +175,11 @@ def jackknife_ratio(whole: HeadCalibration, parts: Sequence[HeadCalibration]) ->
     return float(np.sqrt((differ / expected).mean()))
 
 
+def _readings(views: Observations) -> Array:
+    """Return joint readings (V, r), or measured poses (V, 2, 4, 4)."""
+    return views.eye_angles if views.T_base_eye is None else views.T_base_eye
+
+
 def _rms(errors: list[Array], unit: float = 1.0) -> float | None:
     """Compute the root mean square of errors; None: one of them, or all, are missing."""
     found = unit * float(np.sqrt((np.concatenate(errors) ** 2).mean())) if errors else np.nan
@@ -197,7 +197,7 @@ def _transferred(
     if not len(views.placement):
         return {}
     points = part.board_scale * corner_points(views.board)
-    between = relative_camera_pose(head, views.eye_poses(head), cameras=pair)
+    between = relative_camera_pose(head, _readings(views), cameras=pair)
     errors = []
     for source, target, T in ((0, 1, between), (1, 0, inverse(between))):
         lenses = [head.cameras[pair[k]].intrinsics for k in (source, target)]
@@ -215,7 +215,7 @@ def _located(
     views = observations.at_image_times(head)
     V, K = views.corners[pair[0]].shape[:2]
     left, right = (views.corners[name].reshape(-1, 2) for name in pair)
-    readings = views.eye_angles if views.T_base_eye is None else views.T_base_eye
+    readings = _readings(views)
     joints = np.repeat(readings, K, axis=0)
     points, _ = triangulate_at(head, left=left, right=right, joints=joints, cameras=pair)
     located = points.reshape(V, K, 3)
@@ -298,63 +298,22 @@ def cross_validate(
     return found, findings
 
 
-def predicting_better(
-    start: HeadCalibration, views: PreparedViews, estimate: BundleEstimate
-) -> tuple[BundleEstimate, tuple[Finding, ...]]:
-    """Return the estimate that predicts unseen views better, and notes on it.
-
-    Errors of measured eye poses need not be independent and of one size, as an estimate of their
-    noise assumes; where poses that are taken as exact predict better, beyond chance, they are.
-    """
-    observations = views.observations
-    if observations.T_base_eye is None:
-        return estimate, ()
-    said = []
-    change = estimate.board_scale - 1
-    if abs(change) > BOARD_SIZE:
-        square_mm = 1e3 * observations.board.square_m
-        sentence = (
-            f"By the eye poses a square of the board measures {square_mm * (1 + change):.3f} mm, "
-            f"not {square_mm:.3f} mm ({100 * change:+.2f} %): measure it; lengths are those of the "
-            "poses."
-        )
-        said.append(note("board-size", sentence))
-    exact = bundle_adjust(
-        start, observations, T_cam_target=views.T_cam_target, noise=NoiseModel(joint_std=0.0)
-    )
-    try:
-        found = []
-        for each in (estimate, exact):
-            of_part = partial(bundle_of_part, each, views)
-            parts = calibrate_folds(observations, of_part)
-            found.append(predicted_squares(observations, parts))
-        squares, counts = np.moveaxis(np.array(found), 2, 0)
-    except VergenceError:
-        return estimate, tuple(said)  # too few views: there is no held-out error at all
-    gain = squares[0] - squares[1]
-    rms = np.sqrt(squares.sum(axis=1) / np.maximum(counts.sum(axis=1), 1))
-    if gain.sum() <= BEYOND_CHANCE * np.sqrt((gain**2).sum()):
-        return estimate, tuple(said)
-    sentence = (
-        f"Eye poses are taken as exact: they then predict unseen views to {rms[1]:.2f} px, and to "
-        f"{rms[0]:.2f} px if their noise is estimated."
-    )
-    said.append(note("exact-poses", sentence))
-    return exact, tuple(said)
-
-
 def bundle_of_part(
     estimate: BundleEstimate, views: PreparedViews, rows: np.ndarray
 ) -> PartCalibration:
     """Return the calibration from a part of the views (V,), at the noise that all of them show."""
-    (part, T_part), levels = views.take(rows), estimate.joint_std
+    part, T_part = views.take(rows)
+    lenses = None
+    if part.T_base_eye is not None:
+        lenses = calibrate_intrinsics(part.take(part.at_rest), lenses=views.models)
     found = bundle_adjust(
         estimate.head,
         part,
         T_cam_target=T_part,
-        noise=NoiseModel(estimate.pixel_std_px, levels),
+        noise=NoiseModel(levels=estimate.levels),
+        intrinsics=lenses,
     )
-    head = replace(found.head, accuracy=replace(found.accuracy, joint_std=levels))
+    head = replace(found.head, accuracy=replace(found.accuracy, joint_std=estimate.joint_std))
     return PartCalibration(head, found.T_lbase_target, found.board_scale)
 
 

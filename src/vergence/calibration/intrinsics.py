@@ -42,6 +42,8 @@ class Intrinsics:
     focal_std_px: tuple[float, float]
     """Standard deviations of fx and fy, if all corners have independent errors of the size that
     is left."""
+    covariance: Array
+    """(n, n) of what was fitted: by the noise that is left, larger where views differ by more."""
     accuracy: LensAccuracy
     """Standard deviations of all that was fitted, also by how the views differ."""
 
@@ -113,9 +115,11 @@ def _with_accuracy(fit: LensFit, model: LensModel) -> Intrinsics:
     redundancy = count - 6 * len(fit.errors) - len(free)
     variance = fit.sum_squares / redundancy if redundancy > 0 else np.inf
     C, focal = noise_covariance(fit.rest, variance), fit.camera.matrix[[0, 1], [0, 1]]
+    by_views = jackknife_covariance(fit.errors, fit.rest)
+    larger = max(1.0, float((np.diag(by_views) / np.diag(C))[:2].max()))
     shown = displaced_by_distortion(fit.camera)[np.ix_(free[n:] - n, free[n:] - n)]
     stated = []
-    for each in (C, jackknife_covariance(fit.errors, fit.rest)):
+    for each in (C, by_views):
         std, displaced = np.sqrt(np.diag(each)), (each[n:, n:] * shown).sum()
         stated.append(((std[:2] / focal).mean(), std[2:n].mean(), np.sqrt(max(displaced, 0.0))))
     # The jackknife of few views is too small; they err by as much as their corners at least.
@@ -126,6 +130,7 @@ def _with_accuracy(fit: LensFit, model: LensModel) -> Intrinsics:
         rms_px=float(np.sqrt(2 * fit.sum_squares / count)),
         views=len(fit.errors),
         focal_std_px=tuple(np.sqrt(np.diag(C))[:2].tolist()),
+        covariance=larger * C,
         accuracy=LensAccuracy(focal=of_focal, centre_px=centre_px, distortion_px=distortion_px),
     )
 

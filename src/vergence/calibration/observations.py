@@ -16,6 +16,7 @@ from vergence.errors import VergenceError, counted
 from vergence.findings import Finding
 from vergence.geometry.board import Board
 from vergence.geometry.camera import is_image_size
+from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration, check_camera_name
 from vergence.geometry.kinematics import EYES, Kinematics, Side, eye_pose
 from vergence.geometry.se3 import inverse, known_poses, mean_pose, rigid_poses
@@ -148,7 +149,7 @@ class Observations:
         Angles become poses as in a head, None: as designed.
         """
         if self.T_base_eye is not None:
-            return self.T_base_eye
+            return self.T_base_eye if head is None else eye_poses(head, self.T_base_eye)
         own = self.kinematics if head is None else head.kinematics
         return np.stack([eye_pose(own, eye, self.eye_angles) for eye in EYES], axis=1)
 

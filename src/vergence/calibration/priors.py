@@ -52,8 +52,8 @@ FACTOR_SCALE = 0.1
 """Factor of one of several readings of a joint, as its gain."""
 TIME_SCALE_S = 0.1
 """Time offset of images and readings: a few frames."""
-BOARD_SCALE = 0.02
-"""Size of a printed board, relative to the stated one."""
+BOARD_SCALE = 0.01
+"""Size of a printed board, relative to the stated one, unless its description states another."""
 _POWERS: dict[CameraModel, tuple[int, ...]] = {
     "radial-tangential": (2, 4, 1, 1, 6),
     "rational": (2, 4, 1, 1, 6, 2, 4, 6),
@@ -172,6 +172,21 @@ def lens_priors(lens: Camera, free: bool, camera: str | None = None) -> list[Len
         lens.model == "rational" and bool((lens.distortion[-3:] > 0).all())
     )
     return [LensPrior(camera=camera)] if possible and free else []
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class BoardSize(Residual):
+    """The side of the board's squares, measured by hand or stated by a printer."""
+
+    std: float
+    """Relative to the side."""
+    robust: bool = False
+
+    def error(self, x: Variables) -> Array:
+        return np.array([[(x["board_scale"] - 1) / self.std]])
+
+    def rows(self, x: Variables) -> Rows:
+        return Rows(np.array([[[1 / self.std]]]), x.columns("board_scale")[None])
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

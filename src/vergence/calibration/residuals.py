@@ -42,6 +42,8 @@ TARGETS = "target poses"
 """Noise level of measured poses of a target, relative to their stated deviations."""
 TARGET_TURNS, TARGET_SHIFTS = "target rotations", "target translations"
 """Noise levels [rad], [m] where no deviations are stated."""
+SMOOTH = "smooth rotations", "smooth translations"
+"""Noise levels [rad], [m] of errors of eye poses that neighbouring postures share."""
 TRUSTED_READINGS = 2.0
 """Noise of readings, as a multiple of how well one image determines the joints, up to which the
 readings give the eyes' trajectory in time. At it they hold the latent angles to a fifth, and
@@ -347,22 +349,29 @@ class Readings(Residual):
     """(B, n, TRAJECTORY_DEGREE) of the motion in time, None: at rest."""
     trusted: frozenset[str] = frozenset()
     """Levels of readings that determine the motion better than the images do."""
+    smooth: Array | None = None
+    """(B, n, F) errors that postures share, by their coefficients; None: all are independent."""
     element: Index = field(init=False)
 
     def __post_init__(self) -> None:
         vars(self).update(element=np.arange(len(self.postures.reading)))
 
     def error(self, x: Variables) -> Array:
-        """Compute noise-free readings minus readings (B, n)."""
+        """Compute noise-free readings minus readings (B, n), without errors that are shared."""
         off = x.latent.value - self.postures.reading
+        if self.smooth is not None:
+            off = off - self.smooth @ x["pose_errors"]
         if self.coefficients is None:
             return off
         return off + timing.change(self.coefficients, -x["head"].time_offset_s)
 
     def rows(self, x: Variables) -> Rows:
         B, n = self.postures.reading.shape
-        time = np.tile(x.columns("head")[-1:], (B, 1))
-        return Rows(-self.rate(x)[..., None], time, np.tile(np.eye(n), (B, 1, 1)))
+        columns, by_shared = x.columns("head")[-1:], -self.rate(x)[..., None]
+        if self.smooth is not None:
+            columns = np.append(columns, x.columns("pose_errors"))
+            by_shared = np.concatenate([by_shared, -self.smooth], axis=2)
+        return Rows(by_shared, np.tile(columns, (B, 1)), np.tile(np.eye(n), (B, 1, 1)))
 
     def rate(self, x: Variables) -> Array:
         """Compute the rates (B, n) of the joints when they were read [1/s]."""

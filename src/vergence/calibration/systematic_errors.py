@@ -16,6 +16,7 @@ from vergence.arrays import Array, scatter_add
 from vergence.calibration.residuals import CORNERS, Reprojection
 from vergence.estimation.adjustment import Adjustment
 from vergence.estimation.linear import cholesky, eliminate
+from vergence.estimation.residual import Levels
 
 FIELD_DEGREE = 4
 """Smoother fields than the fourth degree look like the lens, rougher ones like noise."""
@@ -23,28 +24,31 @@ LEAST_FIELD_CORNERS = 200
 """A camera with fewer corners does not determine a field of thirty coefficients."""
 
 
-def systematic_errors(found: Adjustment) -> tuple[dict[str, float], Array]:
+def systematic_errors(
+    found: Adjustment, basis: Array, follows: Array, levels: Levels
+) -> tuple[dict[str, float], Array]:
     """Estimate smooth errors over the images, and their effect on the unknowns.
 
-    The first residual of the adjustment is the reprojection.
+    The first residual of the adjustment is the reprojection. At noise of these levels the unknowns
+    absorb part of the fields along a basis (G, F), and all of them change by `follows` (G, F) then.
 
     Returns:
         By camera the rms of one coordinate of the field over the image [px], and (G, G) what the
         fields add to the covariance of the shared unknowns.
     """
-    measured, x, basis = found.residuals[0], found.x, found.observability.basis
+    measured, x = found.residuals[0], found.x
     assert isinstance(measured, Reprojection)
     detections = measured.detections
     weights = found.linear.weights[0]
     free = found.linear.onto(basis)
-    reduced = eliminate(free, found.levels)
+    reduced = eliminate(free, levels)
     schur = cholesky(reduced.schur)
     # The state is the robust optimum: without its outliers it would stand a little elsewhere.
     moved = reduced.step()
     rows = measured.rows(x)
     assert rows.by_latent is not None
     errors = found.errors[0].reshape(measured.pixels.shape)
-    noise = found.levels[CORNERS] * measured.noise_scale[:, None]
+    noise = levels[CORNERS] * measured.noise_scale[:, None]
     precision = (weights / noise**2)[..., None]
     sizes, covariance = {}, np.zeros((len(basis), len(basis)))
     for c, (name, mounted) in enumerate(x["head"].cameras.items()):
@@ -66,15 +70,15 @@ def systematic_errors(found: Adjustment) -> tuple[dict[str, float], Array]:
         right_l = scatter_add(np.swapaxes(L, 1, 2) @ w, places, shape)
         right_g = basis.T @ onto
         change = cho_solve(schur, right_g - np.einsum("bnf,bnk->fk", reduced.coupling, right_l))
-        follows = reduced.ll_inverse @ right_l - reduced.coupling @ change
-        taken = right_g.T @ change + np.einsum("bnk,bnj->kj", right_l, follows)
+        of_latent = reduced.ll_inverse @ right_l - reduced.coupling @ change
+        taken = right_g.T @ change + np.einsum("bnk,bnj->kj", right_l, of_latent)
         left = np.einsum("mkxa,mkxb->ab", weighed, fields, optimize=True) - taken
         seen = np.einsum("mkxa,mkx->a", weighed, errors[mine])
         seen += right_g.T @ moved[0] + np.einsum("bnk,bn->k", right_l, moved[1])
         # Of functions whose mean square is one, for each coordinate.
         per_px = np.sqrt(2 / fields.shape[-1])
         std = max(likeliest_std(left, seen) if estimable else 0.0, measured.systematic_px * per_px)
-        absorbed = basis @ change
+        absorbed = follows @ change
         covariance += std**2 * absorbed @ absorbed.T
         sizes[name] = float(std / per_px)
     return sizes, covariance

@@ -34,6 +34,8 @@ class Chessboard:
     """Side of a square [m]; 1 for a board of unknown size, so that lengths are in squares."""
     square_y_m: PositiveFloat | None = None
     """Its side along a column [m], where the printer has stretched the board; None: the same."""
+    square_std_m: PositiveFloat | None = None
+    """Standard deviation of the stated side [m]; None: a hundredth of it."""
     kind: Literal["chessboard"] = "chessboard"
 
     def __post_init__(self) -> None:
@@ -62,6 +64,8 @@ class Charuco:
     square_y_m: PositiveFloat | None = None
     """Side of a square along a column [m], where the printer has stretched the board; None: the
     same."""
+    square_std_m: PositiveFloat | None = None
+    """Standard deviation of the stated side [m]; None: a hundredth of it."""
     kind: Literal["charuco"] = "charuco"
 
     def __post_init__(self) -> None:

@@ -121,11 +121,17 @@ def check_joints(kinematics: Kinematics, joints: Array) -> None:
 def eye_poses(head: HeadCalibration, joints: ArrayLike) -> Array:
     """Compute T_base_eye (..., 2, 4, 4) of the left and the right eye at readings (..., r) [rad].
 
-    Measured poses (..., 2, 4, 4) stay as they are, but for rounded rotations. VergenceError if it
-    is neither.
+    Measured poses (..., 2, 4, 4) are corrected by what the head states of their errors.
+    VergenceError if it is neither.
     """
     if measured(joints):
-        poses = batch_last(rigid_poses("joints", np.asarray(joints, dtype=float))[0], 3)
+        T, _ = rigid_poses("joints", np.asarray(joints, dtype=float))
+        if head.pose_errors:
+            T = T.copy()
+            for eye, errors in head.pose_errors.items():
+                e = EYES.index(eye)
+                T[..., e, :, :] = errors.corrected(T[..., e, :, :])
+        poses = batch_last(T, 3)
         return batch_first(np.ascontiguousarray(poses), 3)
     both = [eye_pose(head.kinematics, eye, joints) for eye in EYES]
     return batch_first(np.stack([batch_last(T, 2) for T in both]), 3)

@@ -31,6 +31,7 @@ from vergence.geometry.kinematics import (
     reading_kinds,
 )
 from vergence.geometry.neck import Neck, chain_angles, head_pose
+from vergence.geometry.pose_errors import PoseErrors
 from vergence.geometry.se3 import POSE, inverse, pose
 
 R_EYE_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -70,6 +71,8 @@ class HeadCalibration:
     """From the design, not calibrated; without joints the head is the body."""
     time_offset_s: float = 0.0
     """An image shows the joints this much later than their reading."""
+    pose_errors: dict[Side, PoseErrors] = field(default_factory=dict)
+    """By eye, what to add to its measured poses; empty: nothing, or joints are read."""
     accuracy: Accuracy | None = None
     """None: not stated; files of other programs and heads as designed have none."""
     format: Literal["vergence-head-calibration-2"] = "vergence-head-calibration-2"
