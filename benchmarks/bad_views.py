@@ -20,16 +20,19 @@ import numpy as np
 import tyro
 
 from simulated_head import HEIGHT, WIDTH, probability, random_head
-from simulated_recording import POINTS, Noise, Recording, as_poses, record
+from simulated_recording import BOARD, POINTS, Noise, Recording, inside_image, record
 from vergence.calibration.calibrate import CalibrationResult, calibrate
 from vergence.calibration.observations import Observations
 from vergence.calibration.summary import verdict
 from vergence.errors import VergenceError
+from vergence.geometry.camera import project
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import boxminus
-from vergence.geometry.se3 import boxplus, transform
+from vergence.geometry.projection import project_at
+from vergence.geometry.se3 import boxplus, known_poses, pose, rotation, transform
+from vergence.vision.board_pose import board_poses
 
-STRAIGHT, TURNED = 38, 38
+STRAIGHT, TURNED = 30, 30
 NOISE = Noise(pixel_px=0.1, joint_rad=np.radians(0.03))
 HOW = Recording(
     straight=STRAIGHT, orientations=TURNED, reach_rad=(0.35, 0.3), alike=False, noise=NOISE
@@ -52,15 +55,24 @@ def _reading(_: HeadCalibration, seen: Observations, rng: np.random.Generator) -
     return replace(seen, eye_angles=angles), {view}
 
 
-def _pose_row(_: HeadCalibration, seen: Observations, rng: np.random.Generator) -> Disturbed:
-    """Repeat a row of measured poses of an arm that carries the eyes."""
-    seen = as_poses(seen)
-    assert seen.T_base_eye is not None
-    step = rng.normal(0, [2e-4] * 3 + [2e-4] * 3, (*seen.T_base_eye.shape[:2], 6))
-    T = boxplus(seen.T_base_eye.reshape(-1, 4, 4), step.reshape(-1, 6)).reshape(-1, 2, 4, 4)
-    view = int(rng.integers(STRAIGHT, STRAIGHT + TURNED - 1))
-    T[view] = T[view + 1]
-    return replace(seen, T_base_eye=T), {view}
+def _pose_row(head: HeadCalibration, _: Observations, rng: np.random.Generator) -> Disturbed:
+    """Repeat the row of another pose of an arm, the next one or any, in 16 to 30 views."""
+    mounted, V = head.cameras["left_wide"], int(rng.integers(16, 31))
+    T = pose(rotation(rng.uniform(-0.35, 0.35, (V, 3))), rng.uniform(-0.1, 0.1, (V, 3)))
+    T_base_target = mounted.T_eye_cam @ pose(rotation([0.3, 0.2, 0.0]), [-0.12, -0.08, 0.5])
+    pixels = project_at(mounted, np.eye(4), T, transform(T_base_target, POINTS)[None])
+    pixels = np.where(inside_image(pixels)[..., None], pixels, np.nan)
+    read = boxplus(T, rng.normal(0, 2e-4, (V, 6)))
+    view, by = int(rng.integers(V)), 1 if rng.random() < 0.5 else int(rng.integers(1, V))
+    read[view] = read[(view + by) % V]
+    return Observations(
+        board=BOARD,
+        placement=np.zeros(V, int),
+        eye_angles=np.full((V, 4), np.nan),
+        corners={"left_wide": pixels + rng.normal(0, NOISE.pixel_px, pixels.shape)},
+        sizes={"left_wide": (WIDTH, HEIGHT)},
+        T_base_eye=np.stack([read, np.tile(np.eye(4), (V, 1, 1))], axis=1),
+    ), {view}
 
 
 def _turned_image(_: HeadCalibration, seen: Observations, rng: np.random.Generator) -> Disturbed:
@@ -85,19 +97,13 @@ def _pairs(_: HeadCalibration, seen: Observations, rng: np.random.Generator) -> 
 
 def _held_board(head: HeadCalibration, seen: Observations, rng: np.random.Generator) -> Disturbed:
     """Move the board by 1 to 3 mm between the images of both eyes, in some or all pairs."""
-    from vergence.vision.board_pose import board_poses
-
     share, size_m = rng.choice([0.3, 1.0]), rng.uniform(1e-3, 3e-3)
-    camera = head.cameras["right_wide"].intrinsics
-    right = seen.corners["right_wide"].copy()
+    camera, right = head.cameras["right_wide"].intrinsics, seen.corners["right_wide"].copy()
     T = board_poses(camera, right[:STRAIGHT], POINTS)
-    from vergence.geometry.camera import project
-
-    moved = np.flatnonzero(np.isfinite(T).all(axis=(1, 2)) & (rng.random(STRAIGHT) < share))
-    for view in moved:
+    for view in np.flatnonzero(known_poses(T) & (rng.random(STRAIGHT) < share)):
         points = transform(T[view], POINTS)
-        shift = project(camera, points + rng.normal(0, size_m / np.sqrt(3), 3))
-        right[view] += shift - project(camera, points)
+        moved = points + rng.normal(0, size_m / np.sqrt(3), 3)
+        right[view] += project(camera, moved) - project(camera, points)
     return replace(seen, corners={**seen.corners, "right_wide": right}), set()
 
 
@@ -122,7 +128,11 @@ def named_views(result: CalibrationResult) -> set[int]:
 
 def outside(result: CalibrationResult, truth: HeadCalibration) -> list[str]:
     """List poses and gains whose regions of 99.9 % do not hold the truth."""
-    accuracy, off, groups = result.accuracy, boxminus(result.head, truth), {}
+    cameras = {name: truth.cameras[name] for name in result.head.cameras}
+    if result.observations.T_base_eye is not None:  # an offset of tilt is a turn of the camera
+        truth = replace(truth, kinematics=result.head.kinematics)
+    accuracy, off = result.accuracy, boxminus(result.head, replace(truth, cameras=cameras))
+    groups: dict[str, list[int]] = {}
     for i, name in enumerate(accuracy.parameters):
         owner, _, last = name.rpartition(".")
         if owner.endswith("T_eye_cam") or owner == "T_rbase_lbase":

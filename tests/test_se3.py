@@ -9,6 +9,7 @@ from hypothesis.extra.numpy import arrays
 from vergence.arrays import nearest_rotation
 from vergence.errors import VergenceError
 from vergence.geometry.se3 import (
+    agreeing_poses,
     angle,
     boxminus,
     boxplus,
@@ -160,3 +161,15 @@ def test_rounded_poses_become_the_nearest_rigid_ones_and_others_are_refused(T, d
     read[:3, :3] *= 1.003
     with pytest.raises(VergenceError, match="eye: expected a rigid transform"):
         rigid_poses("eye", read)
+
+
+def test_the_mean_of_poses_is_that_of_the_majority():
+    rng = np.random.default_rng(0)
+    true = pose(rotation([0.1, -0.4, 0.2]), [0.3, 0.1, 0.6])
+    T = boxplus(np.tile(true, (11, 1, 1)), rng.normal(0, 2e-3, (11, 6)))
+    T[2] = T[2] @ pose(rotation([0.0, 0.0, np.pi]))  # turned
+    T[5, :3, 3] += [0.14, 0.0, 0.0]  # shifted
+    T[7] = pose(rotation([1.0, 0.0, 0.0]), [0.0, 0.5, 0.5])
+    assert np.flatnonzero(~agreeing_poses(T)).tolist() == [2, 5, 7]
+    assert np.abs(boxminus(mean_pose(T), true)).max() < 2e-3
+    assert agreeing_poses(T[[0, 5]]).all()

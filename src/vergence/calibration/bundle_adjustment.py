@@ -22,6 +22,13 @@ from vergence.calibration.bundle_start import (
     with_shared_errors,
 )
 from vergence.calibration.intrinsics import Intrinsics
+from vergence.calibration.moved_boards import (
+    SHIFTS,
+    TURNS,
+    held_boards,
+    motion_levels,
+    moved_boards,
+)
 from vergence.calibration.observations import Observations
 from vergence.calibration.pose_errors import SmoothErrors
 from vergence.calibration.residuals import SMOOTH, Reprojection
@@ -199,8 +206,22 @@ def bundle_adjust(
     if given is None and problem.measures_eyes:
         problem = with_shared_errors(problem)
     levels = _levels(problem, noise, given)
-    residuals = (*problem.residuals, *priors)
-    found = adjust(residuals, problem.start, levels, outlier=noise.outlier)
+    known = TURNS in noise.levels
+    apart = held_boards(problem, least=1) if known else None
+    motion = (noise.levels[TURNS], noise.levels[SHIFTS]) if known else None
+    found = None
+    if apart is None:
+        residuals = (*problem.residuals, *priors)
+        found = adjust(residuals, problem.start, levels, outlier=noise.outlier)
+        if given is None and not noise.levels and found.converged:
+            motion = moved_boards(problem, found, levels)
+            apart = None if motion is None else held_boards(problem)
+    if apart is not None and motion is not None:
+        problem = apart
+        levels += motion_levels(motion, given=known)
+        residuals = (*problem.residuals, *priors)
+        found = adjust(residuals, problem.start, levels, outlier=noise.outlier)
+    assert found is not None
     return _estimate(problem, start, observations, found, levels, intrinsics or {})
 
 
@@ -294,7 +315,7 @@ def _estimate(
             if px > max(SHOWN_SYSTEMATIC * pixel_px, assumed_px)
         },
         joint_std=tuple(joint_std),
-        T_lbase_target=dict(zip(problem.placements.tolist(), x["boards"], strict=True)),
+        T_lbase_target={int(p): x["boards"][k] for k, p in enumerate(problem.placements)},
         board_scale=x["board_scale"],
         T_base_eye=T_base_eye,
         residuals_px=_residuals(problem, found, len(T_base_eye)),

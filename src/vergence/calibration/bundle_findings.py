@@ -10,10 +10,11 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.bundle_start import BundleProblem, PoseObservations
+from vergence.calibration.moved_boards import HeldBoards
 from vergence.calibration.observations import Observations, most_seen
 from vergence.calibration.priors import BoardSize
 from vergence.calibration.residuals import Readings, Reprojection
-from vergence.errors import listed
+from vergence.errors import counted, listed
 from vergence.estimation.adjustment import Adjustment
 from vergence.estimation.noise import Level
 from vergence.findings import Finding, by_severity, note, void, warning
@@ -40,6 +41,8 @@ WRONG_VIEW = "wrong-view"
 """Code of the findings on views that were left out."""
 MOST_WRONG = 0.15
 """Share of views, or of corners, that may be wrong beside a good rest."""
+MOVED_MM = 0.5
+"""Motion of a held board [mm] from which its view is named."""
 MOST_NAMED = 3
 """Number of wrong views that are described one by one."""
 NAMED = 0.3
@@ -104,6 +107,7 @@ class BundleFindings:
             _doubtful(self),
             _wrong(self),
             _left_out(self),
+            _moved_boards(self),
             _unobservable(self),
             _noise(self),
             _noisy_readings(self),
@@ -378,6 +382,30 @@ def _wrong(of: BundleFindings) -> Iterator[Finding]:
     if len(messages) > MOST_NAMED:
         where = ", ".join(map(of.observations.name_of_view, sorted(messages)[MOST_NAMED:]))
         yield severity(WRONG_VIEW, f"As wrong were left out: {where}.", where)
+
+
+def _moved_boards(of: BundleFindings) -> Iterator[Finding]:
+    """Name the views in which a board that a hand holds moved between the images of the eyes."""
+    for residual, errors in zip(of.found.residuals, of.found.errors, strict=True):
+        if not isinstance(residual, HeldBoards):
+            continue
+        detections = of.problem.measured.detections
+        view = np.empty(detections.board.max() + 1, np.intp)
+        view[detections.board] = detections.views
+        shift_mm = 1e3 * np.linalg.norm(errors[:, 3:], axis=1)
+        moved = np.flatnonzero(shift_mm > MOVED_MM)
+        moved = moved[np.argsort(-shift_mm[moved])]
+        names = [of.observations.name_of_view(int(view[residual.before[k]])) for k in moved]
+        where = ", ".join(names)
+        sizes = zip(names[:MOST_NAMED], shift_mm[moved], strict=False)
+        most = ", ".join(f"{name} by {size:.1f} mm" for name, size in sizes)
+        sentence = (
+            f"Boards that were held by hand moved between the images of the two eyes (in "
+            f"{counted(len(moved), 'view')}, most in {most}), which the estimate allows for: "
+            "trigger both cameras at once, or put the board down."
+        )
+        if len(moved):
+            yield note("board-moved", sentence, where)
 
 
 def _lost_corners(of: BundleFindings) -> Iterator[Finding]:

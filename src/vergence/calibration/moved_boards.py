@@ -1,0 +1,125 @@
+"""Boards that a hand holds, and moves between the images of the two eyes.
+
+Such a motion looks like a turn of the eyes: a millimetre in depth, at a baseline of 70 mm, like a
+degree of both pans. So the right eye's images get a board of their own, and how far it stands from
+the left eye's is a measurement of zero, with noise of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.calibration.bundle_start import BundleProblem
+from vergence.calibration.priors import POSE_SCALE, boards_block
+from vergence.calibration.residuals import Index
+from vergence.estimation.adjustment import Adjustment
+from vergence.estimation.linear import linearise
+from vergence.estimation.noise import Level, estimate_noise
+from vergence.estimation.residual import Residual, Rows
+from vergence.estimation.variables import Variables
+from vergence.geometry.kinematics import EYES
+from vergence.geometry.se3 import boxminus
+
+TURNS, SHIFTS = "turns of held boards", "shifts of held boards"
+"""Noise levels [rad], [m]."""
+FIRST, FLOOR = (0.003, 0.001), 1e-7
+"""First levels, of a hand that is held still, and least ones [rad], [m]."""
+LEAST_HELD = 8
+"""Fewest held boards by whose motion its levels are estimated, from three numbers of each kind."""
+CERTAIN = 3.0
+"""Standard deviations of the mean square of a motion, from zero, from which boards did move. Those
+of 8 boards are determined to 3.5 at best."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class HeldBoards(Residual):
+    """Motion of H boards between the image of the left eye and that of the right one."""
+
+    before: Index
+    """(H,) the boards of the left eye."""
+    after: Index
+    """(H,) the boards of the right eye."""
+    level: tuple[str, ...] = (TURNS,) * 3 + (SHIFTS,) * 3
+
+    def error(self, x: Variables) -> Array:
+        """Compute the motions (H, 6): rotation [rad], then translation [m]."""
+        return boxminus(x["boards"][self.after], x["boards"][self.before])
+
+    def rows(self, x: Variables) -> Rows:
+        """Compute the derivatives, for turns far below 1 rad."""
+        H = len(self.before)
+        columns = x.columns("boards").reshape(-1, 6)
+        by_both = np.tile(np.concatenate([-np.eye(6), np.eye(6)], axis=1), (H, 1, 1))
+        return Rows(by_both, np.concatenate([columns[self.before], columns[self.after]], axis=1))
+
+
+def held_boards(problem: BundleProblem, *, least: int = LEAST_HELD) -> BundleProblem | None:
+    """Give boards that both eyes see, in one view only, another pose before the right eye.
+
+    None: there are fewer than `least`, no board at rest tells their motion from that of the eyes,
+    or poses of the eyes were measured, which no motion of a board passes for.
+    """
+    of, x, P = problem.measured.detections, problem.start, len(problem.placements)
+    views, eyes = (
+        np.bincount(np.unique([of.board, other], axis=1)[0], minlength=P)
+        for other in (of.views, of.eyes)
+    )
+    held = (views == 1) & (eyes == len(EYES))
+    if held.sum() < least or held.all() or of.postures.T_base_eye_read is not None:
+        return None
+    before = np.flatnonzero(held)
+    after = np.full(P, -1)
+    after[before] = P + np.arange(len(before))
+    board = np.where(held[of.board] & (of.eyes == 1), after[of.board], of.board)
+    boards = boards_block(np.concatenate([x["boards"], x["boards"][before]]))
+    return replace(
+        problem,
+        measured=replace(problem.measured, detections=replace(of, board=board)),
+        priors=(*problem.priors, HeldBoards(before=before, after=after[before])),
+        start=replace(x, shared={**x.shared, "boards": boards}),
+    )
+
+
+def motion_levels(stds: Sequence[float], *, given: bool) -> list[Level]:
+    """List the noise levels of the motion, [rad] and [m]."""
+    return [
+        Level(name, std, given, floor=FLOOR)
+        for name, std in zip((TURNS, SHIFTS), stds, strict=True)
+    ]
+
+
+def moved_boards(
+    problem: BundleProblem, found: Adjustment, levels: Sequence[Level]
+) -> tuple[float, float] | None:
+    """Estimate by how much held boards moved, [rad] and [m], about an estimate without motion.
+
+    None: by nothing, or by so little that it is not certain.
+    """
+    apart = held_boards(replace(problem, start=found.x))
+    if apart is None:
+        return None
+    x, own = apart.start, motion_levels(FIRST, given=False)
+    residuals = [
+        replace(each, detections=apart.measured.detections) if k == 0 else each
+        for k, each in enumerate(found.residuals)
+    ]
+    residuals.append(apart.priors[-1])
+    H = len(apart.priors[-1].before)
+    weights = [*found.linear.weights, np.ones((H, 6))]
+    errors = [*found.errors, np.zeros((H, 6))]
+    added = x.columns("boards")[-6 * H :]
+    old, (G, F) = np.setdiff1d(np.arange(x.size), added), found.observability.basis.shape
+    basis = np.zeros((G + 6 * H, F + 6 * H))
+    basis[old, :F] = found.observability.basis
+    basis[added, F + np.arange(6 * H)] = np.tile(POSE_SCALE, H)
+    linear = linearise(residuals, x, errors, weights).onto(basis)
+    noise = {**found.levels, **{level.name: level.start for level in own}}
+    fixed = np.array([level.given or found.assumed.get(level.name, False) for level in levels])
+    estimated = estimate_noise(linear, [*levels, *own], noise, np.append(fixed, [False, False]))
+    stds = estimated.levels[TURNS], estimated.levels[SHIFTS]
+    certain = estimated.log_variance[-2:] < CERTAIN**-2
+    return stds if (certain & (np.array(stds) > 2 * FLOOR)).any() else None
