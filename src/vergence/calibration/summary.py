@@ -24,8 +24,8 @@ from vergence.vision.board_pose import seen_corners
 LARGEST_EXPECTED = 0.1
 """Error that noise explains, relative to the distance, from which held-out points check nothing."""
 INACCURATE = 0.01
-"""Error of a point by the calibration, relative to its distance, from which it is doubted: a
-finger's width at arm's length."""
+"""Error of a point by the calibration, relative to its distance, from which it is doubted where it
+is larger than that by a reading: a finger's width at arm's length."""
 BUDGET_M = 0.6
 """Distance of the error budget in the last line, the middle one of DISTANCES_M."""
 MOST_NOTES = 2
@@ -68,8 +68,8 @@ def inaccurate(head: HeadCalibration) -> list[Finding]:
                 f"{expected_mm:.0f} mm at {distance:.2f} m."
             )
             findings.append(warning("nothing-checked", sentence))
-    for distance, by_calibration, *_ in point_accuracy(head):
-        if by_calibration > INACCURATE * 1e3 * distance:
+    for distance, by_calibration, by_reading, _ in point_accuracy(head):
+        if by_calibration > max(by_reading, INACCURATE * 1e3 * distance):
             sentence = (
                 f"{more}, or let the eyes move farther; at {distance:g} m a point is wrong by "
                 f"{by_calibration:.1f} mm by the calibration alone."
