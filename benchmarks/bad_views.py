@@ -76,10 +76,10 @@ def _pose_row(head: HeadCalibration, _: Observations, rng: np.random.Generator) 
 
 
 def _turned_image(_: HeadCalibration, seen: Observations, rng: np.random.Generator) -> Disturbed:
-    """Turn one straight image by 180 degrees."""
+    """Turn one straight image by 180 degrees; the board may be numbered from the other end then."""
     name, view = rng.choice(list(seen.corners)), int(rng.integers(STRAIGHT))
     corners = seen.corners[name].copy()
-    corners[view] = [WIDTH - 1, HEIGHT - 1] - corners[view]
+    corners[view] = ([WIDTH - 1, HEIGHT - 1] - corners[view])[:: rng.choice([1, -1])]
     return replace(seen, corners={**seen.corners, name: corners}), {view}
 
 

@@ -95,9 +95,9 @@ def motion_levels(stds: Sequence[float], *, given: bool) -> list[Level]:
 def moved_boards(
     problem: BundleProblem, found: Adjustment, levels: Sequence[Level]
 ) -> tuple[float, float] | None:
-    """Estimate by how much held boards moved, [rad] and [m], about an estimate without motion.
+    """Estimate the motion of held boards, [rad] and [m], about an estimate without motion.
 
-    None: by nothing, or by so little that it is not certain.
+    None: it is not significant.
     """
     apart = held_boards(replace(problem, start=found.x))
     if apart is None:

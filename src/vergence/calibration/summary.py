@@ -24,8 +24,8 @@ from vergence.vision.board_pose import seen_corners
 LARGEST_EXPECTED = 0.1
 """Error that noise explains, relative to the distance, from which held-out points check nothing."""
 INACCURATE = 0.01
-"""Error of a point by the calibration, relative to its distance, from which it is doubted where it
-is larger than that by a reading: a finger's width at arm's length."""
+"""Error of a point by the calibration, relative to its distance, that is reported where that by a
+reading is smaller: a finger's width at arm's length."""
 BUDGET_M = 0.6
 """Distance of the error budget in the last line, the middle one of DISTANCES_M."""
 MOST_NOTES = 2
