@@ -353,9 +353,10 @@ def _wrong(of: BundleFindings) -> Iterator[Finding]:
     messages: dict[int, list[str]] = {}
     cameras = of.problem.measured.detections.cameras
     for b in np.flatnonzero(wrong.readings.any(axis=1)):
-        off = np.where(wrong.readings[b], of.found.errors[1][b], 0.0)
+        errors = of.found.errors[1][b]
+        off = np.where(wrong.readings[b], errors, 0.0)
         if of.poses_read:
-            turn, shift = np.linalg.norm(off[:3]), np.linalg.norm(off[3:])
+            turn, shift = np.linalg.norm(errors[:3]), np.linalg.norm(errors[3:])
             message = (
                 f"the pose of the {EYES[postures.eye[b]]} eye is off by {np.degrees(turn):.2g} "
                 f"degrees and {1e3 * shift:.2g} mm"

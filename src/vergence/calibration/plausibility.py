@@ -192,19 +192,19 @@ def _gains(kinematics: Kinematics, eye: Side, readings: Array, turn: Array) -> A
 def _metre(T_base_eye: Array, T_cam_target: Array, R: Array) -> float:
     """Measure the metre of measured poses (N, 4, 4) by the images, in metres.
 
-    (R_A - 1) t_X + metre t_A = R t_B between two views is linear in t_X and the metre. Where the
-    eye turns about a point nothing but the distance of that point shows another unit.
+    A board at rest stands at R_base_eye (R t_cam_target + t_X) + metre t_base_eye = p in all views,
+    which is linear in t_X, the metre, and p. Where the eye turns about a point nothing but the
+    distance of that point shows another unit.
     """
-    first = np.linalg.norm(turns(T_cam_target[:, :3, :3]), axis=1).argmin()
-    A = inverse(T_base_eye[first]) @ T_base_eye
-    B = T_cam_target[first] @ inverse(T_cam_target)
-    rows = np.concatenate([A[:, :3, :3] - np.eye(3), A[:, :3, 3:]], axis=2)
-    lengths = np.maximum(np.linalg.norm(rows.reshape(-1, 4), axis=0), 1e-6)  # shorter is rounding
-    if np.linalg.cond(rows.reshape(-1, 4) / lengths) > 1e4:
-        far = float(np.median(np.linalg.norm(T_base_eye[:, :3, 3], axis=1)))
+    R_base_eye, t_base_eye = T_base_eye[:, :3, :3], T_base_eye[:, :3, 3:]
+    at_rest = np.broadcast_to(np.eye(3), R_base_eye.shape)
+    rows = np.concatenate([-R_base_eye, -t_base_eye, at_rest], axis=2)
+    lengths = np.maximum(np.linalg.norm(rows.reshape(-1, 7), axis=0), 1e-6)  # shorter is rounding
+    if np.linalg.cond(rows.reshape(-1, 7) / lengths) > 1e4:
+        far = float(np.median(np.linalg.norm(t_base_eye, axis=1)))
         return 1.0 if far < FARTHEST_M else METRES["millimetres"]
-    right = B[:, :3, 3] @ R.T
-    return float(_trimmed(rows, right[..., None], np.zeros(len(rows)))[0][3, 0])
+    right = R_base_eye @ R @ T_cam_target[:, :3, 3:]
+    return float(_trimmed(rows, right, np.zeros(len(rows)))[0][3, 0])
 
 
 def _trimmed(rows: Array, right: Array, off: Array) -> tuple[Array, np.ndarray]:
