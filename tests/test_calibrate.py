@@ -149,9 +149,12 @@ def test_what_to_do_next_is_about_the_largest_part_of_a_point_s_error(found):
     """Noisy readings ask for what the eyes see, a rough calibration for more views."""
     accuracy = replace(found.accuracy, findings=())
     for better, wanted in (
-        ({"joint_std": (np.radians(1.0),)}, "Next: better encoders"),
+        ({"joint_std": (np.radians(1.0),)}, "Next: let images correct"),
         ({"covariance": 400 * accuracy.covariance}, "Next: record more views"),
-        ({"joint_std": (1e-6,), "covariance": 1e-6 * accuracy.covariance}, "Next: more pixels"),
+        (
+            {"joint_std": (1e-6,), "covariance": 1e-6 * accuracy.covariance},
+            "Next: nothing; a smaller error",
+        ),
     ):
         stated = replace(accuracy, **better)
         word, following = verdict(stated, replace(found.head, accuracy=stated))

@@ -87,17 +87,16 @@ def _largest_part(head: HeadCalibration) -> str:
     distance = min(budget, key=lambda each: abs(each - BUDGET_M))
     by_calibration, by_reading, by_pixels = budget[distance]
     by_joints = float(np.sqrt(max(by_reading**2 - by_pixels**2, 0.0)))
-    parts = {
-        by_calibration: "record more views, or let the eyes move farther (`vergence plan` says "
-        "which)",
-        by_joints: "better encoders make the error of a point smaller, or what the eyes see "
-        "(self-calibration), more views do not",
-        by_pixels: "more pixels or eyes farther apart make the error of a point smaller, more "
-        "views do not",
+    advice = {
+        by_calibration: "record more views, or let the eyes move farther (`vergence plan`)",
+        by_joints: "let images correct the readings (`SelfCalibrator`), or use better encoders; "
+        "more views do not help",
+        by_pixels: "nothing; a smaller error takes more pixels, or eyes farther apart",
     }
     return (
-        f"{parts[max(parts)]}; at {distance:g} m the joint readings add {by_joints:.1f} mm, the "
-        f"corners {by_pixels:.1f} mm, and the calibration {by_calibration:.1f} mm."
+        f"{advice[max(advice)]}. At {distance:g} m the joint readings add {by_joints:.1f} mm to "
+        f"the error of a point, its pixels {by_pixels:.1f} mm, the calibration "
+        f"{by_calibration:.1f} mm."
     )
 
 
