@@ -44,9 +44,9 @@ Disturbance = Callable[[HeadCalibration, Observations, np.random.Generator], Dis
 
 def _reading(_: HeadCalibration, seen: Observations, rng: np.random.Generator) -> Disturbed:
     """Add a glitch to one reading, repeat a row, or zero the readings of one eye."""
-    angles, view = seen.eye_angles.copy(), int(rng.integers(STRAIGHT, STRAIGHT + TURNED - 1))
+    angles, view = seen.eye_angles.copy(), int(rng.integers(STRAIGHT + TURNED - 1))
     kind, eye = rng.integers(3), slice(*[(0, 2), (2, 4)][rng.integers(2)])
-    if kind == 0:
+    if kind == 0 or view < STRAIGHT:  # rows of straight gaze are alike
         angles[view, rng.integers(4)] += np.radians(rng.uniform(1, 8)) * rng.choice([-1, 1])
     elif kind == 1:
         angles[view] = angles[view + 1]
