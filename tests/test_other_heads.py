@@ -10,6 +10,7 @@ import pytest
 
 import head_kinds
 from head_kinds import recording
+from measured_poses import simulate
 from other_heads import KINDS, other_head
 from simulated_head import as_designed, random_head
 from simulated_recording import BOARD, POINTS, Noise, Recording, as_poses, facing, observe, record
@@ -18,14 +19,24 @@ from texts import texts
 from vergence.calibration import cross_validation
 from vergence.calibration.bundle_adjustment import BundleEstimate, bundle_adjust
 from vergence.calibration.calibrate import CalibrationResult, calibrate
+from vergence.calibration.intrinsics import calibrate_intrinsics
 from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
-from vergence.geometry.head import HeadCalibration, main_pair, parameter_names
+from vergence.geometry.board import corner_points
+from vergence.geometry.eye_motion import eye_poses
+from vergence.geometry.head import (
+    HeadCalibration,
+    load_head,
+    main_pair,
+    parameter_names,
+    save_head,
+)
 from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import Kinematics, Side
 from vergence.geometry.parameters import boxminus, change_named, without_offsets
 from vergence.geometry.projection import project_at
-from vergence.geometry.se3 import boxplus, pose, rotation, transform
+from vergence.geometry.se3 import POSE, boxplus, pose, rotation, transform
+from vergence.geometry.se3 import boxminus as boxminus_pose
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("two_folds")]  # whole calibrations
 
@@ -121,6 +132,36 @@ def test_poses_that_know_lengths_show_the_size_of_the_board():
     assert checked.prediction_px is not None
     # A reading is wrong by 0.2 mrad and 0.2 mm: at 0.5 m and 300 px that is a fifth of a pixel.
     assert checked.prediction_px < 0.6
+
+
+def test_an_arm_that_errs_by_its_links_keeps_the_lens_of_its_images(tmp_path):
+    """Its smooth errors are corrected, in views that the calibration has not seen as well."""
+    arm = simulate(10)
+    alone = calibrate_intrinsics(arm.observations)["left_cam"].camera
+    found = calibrate(arm.observations, lens="radial-tangential")
+    mounted = found.head.cameras["left_cam"]
+    np.testing.assert_allclose(mounted.intrinsics.matrix, alone.matrix, rtol=0.003)
+    assert {each.severity for each in found.findings} <= {"note"}
+    error = boxminus_pose(mounted.T_eye_cam, arm.T_eye_cam)
+    stds = np.sqrt(np.diag(found.accuracy.covariance))
+    std = dict(zip(found.accuracy.parameters, stds, strict=True))
+    for name, off in zip(POSE, error, strict=True):
+        assert abs(off) < 4 * std[f"left_cam.T_eye_cam.{name}"]
+    save_head(found.head, tmp_path / "head.json")
+    head, T = load_head(tmp_path / "head.json"), arm.observations.T_base_eye
+    assert found.estimate is not None
+    assert T is not None
+    board = found.estimate.T_lbase_target[0]
+    points = found.estimate.board_scale * corner_points(arm.observations.board)
+    errors = {}
+    for what, eyes in (("read", T), ("corrected", eye_poses(head, T))):
+        seen = project_at(mounted, np.eye(4), eyes[:, 0], transform(board, points)[None])
+        errors[what] = np.sqrt(np.nanmean((seen - arm.observations.corners["left_cam"]) ** 2))
+    assert errors["corrected"] < errors["read"] / 2
+    checked = found.accuracy.held_out
+    assert checked is not None
+    assert checked.prediction_px is not None
+    assert checked.prediction_px < 1.5 * errors["read"]
 
 
 def test_bases_of_measured_poses_may_stand_anywhere():

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.linalg import block_diag, cho_solve
 
 from vergence.arrays import Array, single_blas_thread
-from vergence.calibration.bundle_findings import BundleFindings
+from vergence.calibration.bundle_findings import BundleFindings, about_one_axis
 from vergence.calibration.bundle_start import (
     BundleProblem,
     PoseObservations,
@@ -212,7 +212,12 @@ def bundle_adjust(
     found = None
     if apart is None:
         residuals = (*problem.residuals, *priors)
-        found = adjust(residuals, problem.start, levels, outlier=noise.outlier)
+        try:
+            found = adjust(residuals, problem.start, levels, outlier=noise.outlier)
+        except VergenceError:
+            for lacking in about_one_axis(problem.measured.detections, problem.start):
+                raise VergenceError(lacking.sentence) from None
+            raise
         if given is None and not noise.levels and found.converged:
             motion = moved_boards(problem, found, levels)
             apart = None if motion is None else held_boards(problem)

@@ -10,13 +10,15 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.bundle_start import BundleProblem, PoseObservations
+from vergence.calibration.hand_eye import LEAST_MOTION_RAD
 from vergence.calibration.moved_boards import HeldBoards
 from vergence.calibration.observations import Observations, most_seen
 from vergence.calibration.priors import BoardSize
-from vergence.calibration.residuals import Readings, Reprojection
+from vergence.calibration.residuals import Detections, Readings, Reprojection
 from vergence.errors import counted, listed
 from vergence.estimation.adjustment import Adjustment
 from vergence.estimation.noise import Level
+from vergence.estimation.variables import Variables
 from vergence.findings import Finding, by_severity, note, void, warning
 from vergence.geometry.head import parameter_names
 from vergence.geometry.kinematics import EYES
@@ -51,9 +53,6 @@ ADVISED = "by at least 0.1 rad, better 0.25"
 """Median stated deviation of the worst axis, 20 views at 0.1 px and 0.1 degrees, board at 0.4 m:
 0.92 degrees and 2.6 mm for motion within 0.03 rad, 0.27 and 0.8 within 0.1, 0.10 and 0.3 within
 0.25."""
-LEAST_MOTION_RAD = 0.01
-"""Minimum root mean square turn of an eye about its second axis: with a joint noise of 0.3 degrees
-and 20 views the paper's method is then wrong by 7 degrees."""
 SENSE = 6.0
 """Motion, as a multiple of the noise of its mean, from which its sense is certain."""
 
@@ -168,6 +167,7 @@ def _doubtful(of: BundleFindings) -> Iterator[Finding]:
     It did not converge, or a reading moves so little before boards at rest that the sense of the
     motion is uncertain.
     """
+    yield from about_one_axis(of.problem.measured.detections, of.found.x)
     if not of.found.converged:
         sentence = (
             "The estimate did not converge, as where no head of this description fits the data, or "
@@ -176,7 +176,6 @@ def _doubtful(of: BundleFindings) -> Iterator[Finding]:
             "turn farther."
         )
         yield void("not-converged", sentence)
-    yield from _about_one_axis(of)
     if of.poses_read:
         return
     detections, postures = of.problem.measured.detections, of.problem.readings.postures
@@ -200,9 +199,8 @@ def _doubtful(of: BundleFindings) -> Iterator[Finding]:
                 yield void("doubtful-sense", sentence, name)
 
 
-def _about_one_axis(of: BundleFindings) -> Iterator[Finding]:
+def about_one_axis(detections: Detections, x: Variables) -> Iterator[Finding]:
     """Report eyes that turn about one axis only: their cameras may then stand anywhere along it."""
-    x, detections = of.found.x, of.problem.measured.detections
     parameters = np.array(parameter_names(x["head"]))[x.shared["head"].free]
     R = detections.eye_poses(x)[:, :3, :3]
     for e, eye in enumerate(EYES):

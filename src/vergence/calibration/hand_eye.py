@@ -22,6 +22,9 @@ from vergence.geometry.se3 import (
 DRAWS, SAMPLE = 100, 4
 """Random draws, and the views of each; with a third of the views wrong, one draw in five has good
 ones only."""
+LEAST_MOTION_RAD = 0.01
+"""Minimum root mean square turn of an eye about its second axis: with a joint noise of 0.3 degrees
+and 20 views the paper's method is then wrong by 7 degrees."""
 
 
 def motion_pairs(T_base_eye: Array, T_cam_target: Array) -> tuple[Array, Array]:
@@ -69,7 +72,10 @@ def park_martin(T_base_eye: Array, T_cam_target: Array) -> Array:
     R_X = solve_rotation(rotvec(R_A), rotvec(B[:, :3, :3]))
     left = (np.eye(3) - R_A).reshape(-1, 3)  # Eq. 8
     right = A[:, :3, 3] - B[:, :3, 3] @ R_X.T
-    t_X = np.linalg.lstsq(left, right.reshape(-1), rcond=None)[0]
+    U, sizes, Vt = np.linalg.svd(left, full_matrices=False)
+    # About a single axis noise would move the camera along it, by hundreds of metres.
+    moved = sizes > LEAST_MOTION_RAD * np.sqrt(len(A))
+    t_X = Vt[moved].T @ ((U[:, moved].T @ right.reshape(-1)) / sizes[moved])
     return pose(R_X, t_X)
 
 

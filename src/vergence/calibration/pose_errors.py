@@ -23,6 +23,9 @@ from vergence.geometry.se3 import POSE, hat
 
 MOST_MODES = 24
 """Largest number of smooth functions of the posture, for each component of a pose."""
+LENGTH = 2.0
+"""Scale of the kernel, relative to the rms distance of two postures. Of seven arms with errors of
+their links held-out views erred by 0.86 px at 1.0, 0.80 at 1.6 and 0.79 at 2.5."""
 LEAST_MODE = 1e-3
 """Smallest variance of such a function, relative to the largest, that noise does not cover."""
 
@@ -60,8 +63,8 @@ def smooth_functions(postures: Postures, information: Array) -> tuple[SmoothFunc
         mine = postures.eye == e
         T = postures.T_base_eye_read[mine]
         parts = T[:, :3, 3], T[:, :3, :3].reshape(-1, 9)
-        # The mean square distance of two postures.
-        lengths = np.sqrt([max(2 * part.var(axis=0).sum(), 1e-12) for part in parts])
+        apart = np.sqrt([max(2 * part.var(axis=0).sum(), 1e-12) for part in parts])  # rms
+        lengths = LENGTH * apart
         values, vectors = np.linalg.eigh(kernel(T, T, lengths))
         kept = np.flatnonzero(values > LEAST_MODE * values[-1])[-MOST_MODES:]
         modes = vectors[:, kept] / np.sqrt(values[kept])
