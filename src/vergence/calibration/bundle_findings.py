@@ -46,7 +46,7 @@ MOST_WRONG = 0.15
 MOVED_MM = 0.5
 """Motion of a held board [mm] from which its view is named."""
 MOST_NAMED = 3
-"""Number of wrong views that are described one by one."""
+"""Number of causes of wrong views that are described."""
 NAMED = 0.3
 """A direction's components of this size, relative to the largest, are named."""
 ADVISED = "by at least 0.1 rad, better 0.25"
@@ -373,14 +373,15 @@ def _wrong(of: BundleFindings) -> Iterator[Finding]:
             "or a pose of another moment or camera, and for a board that moved or is numbered from "
             "the wrong end"
         ]
+    views: dict[str, list[int]] = {}
+    for view in sorted(messages):
+        views.setdefault(", ".join(messages[view]), []).append(view)
     severity = note if wrong.few else warning
-    for view in sorted(messages)[:MOST_NAMED]:
-        where = of.observations.name_of_view(view)
-        sentence = f"{where.capitalize()} was left out: {', '.join(messages[view])}."
+    for k, (message, own) in enumerate(views.items()):
+        where = ", ".join(map(of.observations.name_of_view, own))
+        why = f": {message}" if k < MOST_NAMED else ", as others"
+        sentence = f"{where.capitalize()} {'was' if len(own) == 1 else 'were'} left out{why}."
         yield severity(WRONG_VIEW, sentence, where)
-    if len(messages) > MOST_NAMED:
-        where = ", ".join(map(of.observations.name_of_view, sorted(messages)[MOST_NAMED:]))
-        yield severity(WRONG_VIEW, f"As wrong were left out: {where}.", where)
 
 
 def _moved_boards(of: BundleFindings) -> Iterator[Finding]:
