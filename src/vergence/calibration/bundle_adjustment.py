@@ -283,7 +283,7 @@ def _estimate(
     c = len(covariance)
     lenses, by_lenses, scale_std = _consider(found, intrinsics)
     if intrinsics:
-        of_lenses = block_diag(*(each.covariance for each in intrinsics.values()))
+        of_lenses = np.asarray(block_diag(*(each.covariance for each in intrinsics.values())))
         covariance = covariance + (by_lenses @ of_lenses @ by_lenses.T)[:c, :c]
     systematic: dict[str, float] = {}
     pixel_px = found.levels[levels[0].name]

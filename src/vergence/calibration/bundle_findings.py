@@ -204,7 +204,7 @@ def about_one_axis(detections: Detections, x: Variables) -> Iterator[Finding]:
     parameters = np.array(parameter_names(x["head"]))[x.shared["head"].free]
     R = detections.eye_poses(x)[:, :3, :3]
     for e, eye in enumerate(EYES):
-        cameras = [c for c in np.flatnonzero(detections.eye == e) if c in detections.camera]
+        cameras = np.unique(detections.camera[detections.eyes == e]).tolist()
         names = [detections.cameras[c] for c in cameras]
         if not any(f"{name}.T_eye_cam.tx" in parameters for name in names):
             continue

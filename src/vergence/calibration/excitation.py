@@ -28,9 +28,8 @@ from vergence.vision.board_pose import board_errors, determines_pose, seen_corne
 ONE_ANGLE_RAD = 0.1
 """Root mean square spread of the boards' normals, in a camera's axes, below which it sees them at
 one angle."""
-FOCAL_PART, FOCAL_SURE = 0.004, 1e-4
-"""Relative standard deviation of a focal length from which a warning is given, and below which
-the eye's own turns have slanted the board."""
+FOCAL_PART = 0.004
+"""Relative standard deviation of a focal length from which a warning is given."""
 STRETCH_VIEWS, STRETCH_SIGNIFICANT = 6, 4.0
 """Minimum number of views per camera needed to estimate scatter, and significance threshold [sigma]
 of a stretched board, for many views."""
@@ -103,8 +102,6 @@ def doubtful_focal_lengths(
                 f"{SLANT}."
             )
             findings.append(warning("focal-length", sentence, name))
-        if part < FOCAL_SURE:
-            continue
         T = T_cam_target[name]
         if spread(T[known_poses(T), :3, 2])[0] < ONE_ANGLE_RAD:
             sentence = (

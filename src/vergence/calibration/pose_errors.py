@@ -23,6 +23,9 @@ from vergence.geometry.se3 import POSE, hat
 
 MOST_MODES = 24
 """Largest number of smooth functions of the posture, for each component of a pose."""
+MOST_POSES = 100
+"""Largest number of poses about which the functions have kernels; twice as many as anyone records
+with an arm that stands still."""
 LENGTH = 2.0
 """Scale of the kernel, relative to the rms distance of two postures. Of seven arms with errors of
 their links held-out views erred by 0.86 px at 1.0, 0.80 at 1.6 and 0.79 at 2.5."""
@@ -32,23 +35,22 @@ LEAST_MODE = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class SmoothFunctions:
-    """Smooth functions of the posture, at the B measured poses of one eye."""
+    """Smooth functions of the posture of one eye."""
 
     eye: int
     poses: Array
-    """(B, 4, 4)."""
+    """(N, 4, 4) some of the measured ones."""
     lengths: Array
     """(2,) see PoseErrors."""
     modes: Array
-    """(B, m) weights of the kernels about the poses."""
+    """(N, m) weights of the kernels about the poses."""
     explained: Array
     """(12, 6 m) constant transformations that explain a part of each function."""
 
-    @property
-    def values(self) -> Array:
-        """Compute the increments (B, 6, 6 m) of the poses by coefficients of one."""
-        found = _of_components(kernel(self.poses, self.poses, self.lengths) @ self.modes)
-        return found - constant_transformations(self.poses) @ self.explained
+    def values(self, T: Array) -> Array:
+        """Compute the increments (B, 6, 6 m) of poses (B, 4, 4) by coefficients of one."""
+        found = _of_components(kernel(T, self.poses, self.lengths) @ self.modes)
+        return found - constant_transformations(T) @ self.explained
 
 
 def smooth_functions(postures: Postures, information: Array) -> tuple[SmoothFunctions, ...]:
@@ -65,15 +67,16 @@ def smooth_functions(postures: Postures, information: Array) -> tuple[SmoothFunc
         parts = T[:, :3, 3], T[:, :3, :3].reshape(-1, 9)
         apart = np.sqrt([max(2 * part.var(axis=0).sum(), 1e-12) for part in parts])  # rms
         lengths = LENGTH * apart
-        values, vectors = np.linalg.eigh(kernel(T, T, lengths))
+        poses = T[:: -(-len(T) // MOST_POSES)]
+        values, vectors = np.linalg.eigh(kernel(poses, poses, lengths))
         kept = np.flatnonzero(values > LEAST_MODE * values[-1])[-MOST_MODES:]
         modes = vectors[:, kept] / np.sqrt(values[kept])
         constant = constant_transformations(T)
         weighed = np.swapaxes(constant, 1, 2) @ information[mine]
-        functions = _of_components(vectors[:, kept] * np.sqrt(values[kept]))
+        functions = _of_components(kernel(T, poses, lengths) @ modes)
         normal, right = (np.sum(weighed @ each, axis=0) for each in (constant, functions))
         explained = np.linalg.lstsq(normal, right)[0]
-        found.append(SmoothFunctions(e, T, lengths, modes, explained))
+        found.append(SmoothFunctions(e, poses, lengths, modes, explained))
     return tuple(found)
 
 
@@ -84,9 +87,11 @@ def _of_components(modes: Array) -> Array:
 
 def at_postures(functions: tuple[SmoothFunctions, ...], postures: Postures) -> Array:
     """Compute the increments (B, 6, F) of all postures by coefficients of one."""
-    parts = [np.zeros((len(postures.eye), 6, each.explained.shape[1])) for each in functions]
+    T = postures.T_base_eye_read
+    assert T is not None
+    parts = [np.zeros((len(T), 6, each.explained.shape[1])) for each in functions]
     for part, each in zip(parts, functions, strict=True):
-        part[postures.eye == each.eye] = each.values
+        part[postures.eye == each.eye] = each.values(T[postures.eye == each.eye])
     return np.concatenate(parts, axis=2)
 
 
@@ -98,7 +103,7 @@ def pose_errors_block(functions: tuple[SmoothFunctions, ...]) -> Block:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SmoothErrors(Residual):
-    """The coefficients of smooth errors of poses, of which each kind has one level."""
+    """The coefficients of smooth errors of poses, with a level for rotations and translations."""
 
     functions: tuple[SmoothFunctions, ...]
     level: tuple[str, ...] = (SMOOTH[0],) * 3 + (SMOOTH[1],) * 3
@@ -131,7 +136,7 @@ class SmoothErrors(Residual):
 
         No image tells it from T_eye_cam, and from the base of the eye.
         """
-        head, free = x["head"], x.shared["head"].free
+        head, free = x["head"], x.free[x.columns("head")]
         covariance = np.zeros((len(free), len(free)))
         variances = np.repeat([levels[name] ** 2 for name in SMOOTH], 3)
         R_between, t_between = head.T_rbase_lbase[:3, :3], head.T_rbase_lbase[:3, 3]
