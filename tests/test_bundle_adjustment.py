@@ -276,5 +276,5 @@ def test_an_estimate_without_a_minimum_ends_after_some_rounds_and_says_so(monkey
     monkeypatch.setattr(adjustment, "least_squares", lost)
     _, observed, start = simulated(33, NOISY)
     (said,) = texts(bundle_adjust(start, observed).findings, "void")
-    assert len(rounds) == adjustment.FAILURES
+    assert len(rounds) == 2 * adjustment.FAILURES  # once with boards that may have moved
     assert said.startswith("The estimate did not converge, as where no head of this description")

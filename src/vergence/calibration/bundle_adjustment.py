@@ -23,6 +23,7 @@ from vergence.calibration.bundle_start import (
 )
 from vergence.calibration.intrinsics import Intrinsics
 from vergence.calibration.moved_boards import (
+    FIRST_MOTION,
     SHIFTS,
     TURNS,
     held_boards,
@@ -218,8 +219,9 @@ def bundle_adjust(
             for lacking in about_one_axis(problem.measured.detections, problem.start):
                 raise VergenceError(lacking.sentence) from None
             raise
-        if given is None and not noise.levels and found.converged:
-            motion = moved_boards(problem, found, levels)
+        if given is None and not noise.levels:
+            # Without a minimum boards may have moved, and are then part of every minimum.
+            motion = moved_boards(problem, found, levels) if found.converged else FIRST_MOTION
             apart = None if motion is None else held_boards(problem)
     if apart is not None and motion is not None:
         problem = apart

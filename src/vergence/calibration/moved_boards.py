@@ -26,7 +26,7 @@ from vergence.geometry.se3 import boxminus
 
 TURNS, SHIFTS = "turns of held boards", "shifts of held boards"
 """Noise levels [rad], [m]."""
-FIRST, FLOOR = (0.003, 0.001), 1e-7
+FIRST_MOTION, FLOOR = (0.003, 0.001), 1e-7
 """First levels, of a hand that is held still, and least ones [rad], [m]."""
 LEAST_HELD = 8
 """Fewest held boards by whose motion its levels are estimated, from three numbers of each kind."""
@@ -102,7 +102,7 @@ def moved_boards(
     apart = held_boards(replace(problem, start=found.x))
     if apart is None:
         return None
-    x, own = apart.start, motion_levels(FIRST, given=False)
+    x, own = apart.start, motion_levels(FIRST_MOTION, given=False)
     residuals = [
         replace(each, detections=apart.measured.detections) if k == 0 else each
         for k, each in enumerate(found.residuals)
