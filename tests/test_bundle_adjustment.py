@@ -271,10 +271,11 @@ def test_an_estimate_without_a_minimum_ends_after_some_rounds_and_says_so(monkey
     def lost(residuals, x, **options):
         rounds.append(x)
         found = least_squares(residuals, x, **options)
-        return replace(found, x=found.x if len(rounds) % 2 else rounds[0], converged=False)
+        first = next(each for each in rounds if each.size == x.size)
+        return replace(found, x=found.x if len(rounds) % 2 else first, converged=False)
 
     monkeypatch.setattr(adjustment, "least_squares", lost)
     _, observed, start = simulated(33, NOISY)
     (said,) = texts(bundle_adjust(start, observed).findings, "void")
-    assert len(rounds) == 2 * adjustment.FAILURES  # once with boards that may have moved
+    assert len(rounds) <= 2 * adjustment.FAILURES + 1  # also with boards that may have moved
     assert said.startswith("The estimate did not converge, as where no head of this description")
