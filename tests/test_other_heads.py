@@ -126,6 +126,9 @@ def test_poses_that_know_lengths_show_the_size_of_the_board():
     assert found.estimate is not None
     assert found.estimate.board_scale == pytest.approx(1.006, abs=2e-3)
     assert "a square of the board measures" in " ".join(texts(found.findings, "note"))
+    measured = replace(seen, board=replace(BOARD, square_std_m=1e-6))
+    kept = bundle_adjust(found.start.head, measured, intrinsics=found.start.intrinsics)
+    assert kept.board_scale == pytest.approx(1.0, abs=1e-4)
     assert_near(found, truth)
     checked = found.accuracy.held_out
     assert checked is not None

@@ -85,7 +85,8 @@ def _largest_grid(grey: np.ndarray) -> np.ndarray | None:
 
 def _candidates(images: Sequence[np.ndarray], board: Board) -> Iterator[Board]:
     """Yield boards that images (H, W) may show: with markers, then without."""
-    plain, families = Chessboard(board.columns, board.rows, board.square_m, board.square_y_m), {}
+    sides = board.square_m, board.square_y_m, board.square_std_m
+    plain, families = Chessboard(board.columns, board.rows, *sides), {}
     for name in sorted(DICTIONARIES, key=lambda name: len(marker_family(name).bytesList)):
         # DICT_4X4_50, DICT_4X4_100 and so on begin alike: the smallest with enough markers.
         with suppress(ValueError):
@@ -125,6 +126,7 @@ def _with_markers(board: Board, dictionary: str) -> Charuco:
         squares_y=board.rows + 1,
         square_m=board.square_m,
         square_y_m=board.square_y_m,
+        square_std_m=board.square_std_m,
         marker_m=0.75 * board.square_m,  # as most are; it matters for few markers only
         dictionary=dictionary,
     )

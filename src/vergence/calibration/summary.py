@@ -199,7 +199,7 @@ def _reading_noise(head: HeadCalibration) -> str:
     assert accuracy is not None
     degrees, last = np.degrees(accuracy.joint_std), len(accuracy.joint_std) - 1
     if accuracy.eye_motion == "poses":
-        return f"{degrees[0]:.3f} degrees and {1e3 * accuracy.joint_std[1]:.3f} mm in eye poses"
+        return f"{degrees[0]:.2g} degrees and {1e3 * accuracy.joint_std[1]:.2g} mm in eye poses"
     if last == 0:
         return f"{degrees[0]:.3f} degrees in all readings"
     kinds = [min(kind, last) for kind in reading_kinds(head.kinematics)]
