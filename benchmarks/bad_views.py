@@ -190,10 +190,9 @@ def main(kinds: tuple[str, ...] = tuple(KINDS), count: int = 30, seed: int = 0) 
     for kind in kinds:
         right = 0
         for k in range(seed, seed + count):
-            wrong = judged(kind, k)
-            right += not wrong
-            if wrong:
+            if wrong := judged(kind, k):
                 print(f"   {kind}, seed {k}: {wrong}", flush=True)
+            right += not wrong
         print(f"{kind}: {right} of {count} right", flush=True)
 
 
