@@ -92,7 +92,7 @@ class BundleFindings:
         V, K = outliers.images.shape[1], outliers.corners.shape[1]
         masks = {name: np.zeros((V, K), bool) for name in detections.cameras}
         wrong = outliers.images.copy()
-        of_reading = outliers.readings.any(axis=1)[detections.posture]
+        of_reading = np.any(outliers.readings[detections.posture], axis=1)
         wrong[detections.camera[of_reading], detections.views[of_reading]] = True
         for c, mask in enumerate(masks.values()):
             mine = detections.of_camera(c)
@@ -131,9 +131,10 @@ class BundleFindings:
         images = self.problem.contradicting.copy()
         lost = corners.sum(axis=1) > measured.seen.sum(axis=1) / 2
         images[detections.camera[lost], detections.views[lost]] = True
-        views = images.any(axis=0)
-        views[self.problem.readings.postures.view[readings.any(axis=1)]] = True
-        return Outliers(corners & ~lost[:, None], images, readings, views.mean() <= MOST_WRONG)
+        of_readings = self.problem.readings.postures.view[readings.any(axis=1)]
+        views = np.union1d(np.flatnonzero(images.any(axis=0)), of_readings)
+        few = len(views) <= MOST_WRONG * images.shape[1]
+        return Outliers(corners & ~lost[:, None], images, readings, few)
 
     @property
     def readings(self) -> Readings:
@@ -235,7 +236,7 @@ def _left_out(of: BundleFindings) -> Iterator[Finding]:
     lost = shown & ~of.problem.contradicting.any(axis=0)
     lost[detections.views] = False
     if lost.any():
-        where = ", ".join(map(seen.name_of_view, np.flatnonzero(lost)))
+        where = ", ".join(map(seen.name_of_view, np.flatnonzero(lost).tolist()))
         sentence = f"No image of these boards shows enough corners; left out: {where}."
         severity = note if lost.mean() <= MOST_WRONG else warning
         yield severity("few-corners", sentence, where)

@@ -15,7 +15,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.calibration.bundle_start import BundleProblem
 from vergence.calibration.priors import POSE_SCALE, boards_block
-from vergence.calibration.residuals import Index
+from vergence.calibration.residuals import Index, Reprojection, TargetPoses
 from vergence.estimation.adjustment import Adjustment
 from vergence.estimation.linear import linearise
 from vergence.estimation.noise import Level, estimate_noise
@@ -103,12 +103,11 @@ def moved_boards(
     if apart is None:
         return None
     x, own = apart.start, motion_levels(FIRST_MOTION, given=False)
-    residuals = [
-        replace(each, detections=apart.measured.detections) if k == 0 else each
-        for k, each in enumerate(found.residuals)
-    ]
-    residuals.append(apart.priors[-1])
-    H = len(apart.priors[-1].before)
+    measured, motion = found.residuals[0], apart.priors[-1]
+    assert isinstance(measured, (Reprojection, TargetPoses))
+    assert isinstance(motion, HeldBoards)
+    measured = replace(measured, detections=apart.measured.detections)
+    residuals, H = [measured, *found.residuals[1:], motion], len(motion.before)
     weights = [*found.linear.weights, np.ones((H, 6))]
     errors = [*found.errors, np.zeros((H, 6))]
     added = x.columns("boards")[-6 * H :]

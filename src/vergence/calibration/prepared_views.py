@@ -63,7 +63,7 @@ class PreparedViews:
         seen = self.observations.corners
         kept = {name: np.where(corners[name][..., None], np.nan, seen[name]) for name in seen}
         T = {
-            name: np.where(corners[name].all(axis=1)[:, None, None], np.nan, each)
+            name: np.where(np.all(corners[name], axis=1, keepdims=True)[..., None], np.nan, each)
             for name, each in self.T_cam_target.items()
         }
         observations = replace(self.observations, corners=kept)
