@@ -95,7 +95,7 @@ def _part_information(
     J, L, index = rows.by_shared, rows.by_latent, rows.columns
     c, (B, n), V = len(everything), postures.reading.shape, len(views.placement)
     # Each view's place has the same six columns after those of the head; the board's size is known.
-    of_size = index == problem.start.size - 1
+    of_size = index == problem.start.columns("board_scale")
     index = np.where(of_size, 0, np.where(index < c, index, c + (index - c) % len(POSE)))
     J = np.where(of_size[:, None], 0.0, J)
     J_T = np.swapaxes(J, 1, 2)
@@ -109,8 +109,10 @@ def _part_information(
     found = np.repeat(by_view[None], len(joint_stds), axis=0)
     for information, stds in zip(found, joint_stds, strict=True):
         # In pixels: J^T J - J^T L (L^T L + s^2 / j^2)^-1 L^T J.
-        ratio = pixel_std_px / np.maximum(stds[postures.columns], 1e-6)  # joints stated as exact
-        tied = latent + np.eye(n) * (ratio**2)[:, None]
+        # Joints stated as exact, and those that share a reading, have a least noise.
+        least = np.where(postures.own == 1, 0.0, stds[postures.columns])
+        ratio = pixel_std_px / np.maximum(least, 1e-6)
+        tied = latent + postures.tied.T @ (postures.tied * (ratio**2)[..., None])
         lost = across @ np.linalg.solve(tied, np.swapaxes(across, 1, 2))
         np.subtract.at(information, postures.view, lost)
     return found / pixel_std_px**2

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.linalg import block_diag, cho_solve
 
 from vergence.arrays import Array, single_blas_thread
+from vergence.calibration.backlash import BLOCK, BacklashPrior, mixture_covariance
 from vergence.calibration.bundle_findings import BundleFindings, about_one_axis
 from vergence.calibration.bundle_start import (
     BundleProblem,
@@ -32,7 +33,7 @@ from vergence.calibration.moved_boards import (
 )
 from vergence.calibration.observations import Observations
 from vergence.calibration.pose_errors import SmoothErrors
-from vergence.calibration.residuals import SMOOTH, Reprojection
+from vergence.calibration.residuals import PLAY, SMOOTH, Reprojection
 from vergence.calibration.systematic_errors import systematic_errors
 from vergence.errors import VergenceError
 from vergence.estimation.adjustment import Adjustment, adjust
@@ -40,10 +41,12 @@ from vergence.estimation.linear import cholesky, eliminate
 from vergence.estimation.noise import Level
 from vergence.estimation.observability import UNKNOWN
 from vergence.estimation.residual import OUTLIER, Levels, Residual
+from vergence.estimation.variables import Variables
 from vergence.findings import Finding
 from vergence.geometry.camera import intrinsics_names
 from vergence.geometry.head import HeadCalibration, main_pair, parameter_names
 from vergence.geometry.head_accuracy import Accuracy
+from vergence.geometry.kinematics import EYES
 from vergence.geometry.lens import COEFFICIENTS
 from vergence.geometry.parameters import camera_columns, redundant_offsets
 from vergence.geometry.se3 import POSE
@@ -79,7 +82,7 @@ class NoiseModel:
     """Of one coordinate of a corner; None: estimated."""
     joint_std: float | Sequence[float] | None = None
     """Of the readings [rad], one number or one of each kind (see `kinematics.reading_kinds`), or,
-    for poses, ([rad], [m]); None: estimated; 0: the readings are exact."""
+    for poses, ([rad], [m]); None: estimated, and backlash as well; 0: the readings are exact."""
     outlier: float = OUTLIER
     """Standard deviations beyond which a corner or a reading loses weight."""
     levels: Levels = field(default_factory=dict)
@@ -125,6 +128,9 @@ class BundleEstimate:
     """What the data cannot determine, and why; the most severe first."""
     levels: Levels
     """Standard deviation of each noise level, by name."""
+    backlash_rad: Mapping[str, tuple[float, float]]
+    """By reading, or eye and reading where its joints share one: width of the backlash [rad of the
+    reading], positive where the eye lags behind, and its standard deviation."""
 
     @property
     def accuracy(self) -> Accuracy:
@@ -203,6 +209,7 @@ def bundle_adjust(
         points=points,
         T_cam_target=T_cam_target,
         least_blocks=OWN_LEVELS if given is None else np.inf if len(given) == 1 else 0,
+        backlash=given is None,
     )
     if given is None and problem.measures_eyes:
         problem = with_shared_errors(problem)
@@ -234,7 +241,8 @@ def bundle_adjust(
 
 def _levels(problem: BundleProblem, noise: NoiseModel, joint_std: Array | None) -> list[Level]:
     """List the noise levels: that of the cameras, and those of the readings."""
-    names = list(dict.fromkeys(problem.readings.level))
+    every = list(dict.fromkeys(problem.readings.level))
+    names = [name for name in every if not name.startswith(PLAY)]
     if joint_std is not None and len(joint_std) not in (1, len(names)):
         raise VergenceError(
             f"joint_std is one number, or {len(names)}, as many as these readings have kinds; "
@@ -247,18 +255,20 @@ def _levels(problem: BundleProblem, noise: NoiseModel, joint_std: Array | None) 
     else:
         pixel = FIRST_PX if noise.pixel_std_px is None else noise.pixel_std_px
         levels = [Level(measured, pixel, noise.pixel_std_px is not None, floor=FLOOR_PX)]
-    for k, name in enumerate(names):
-        latent = tuple(i for i, each in enumerate(problem.readings.level) if each == name)
+    for name in every:
+        at = np.array(problem.readings.level) == name
+        latent = tuple(np.flatnonzero(postures.tied[at].any(axis=0)).tolist())
         turned = 1.0  # angle of a joint by one radian of its reading: see `factors`
         if postures.T_base_eye_read is None:
             kinematics = problem.start["head"].kinematics
             turned = float(kinematics.gear_ratios[postures.columns[0, list(latent)]].max())
-        first = GENEROUS_JOINT / turned
-        if joint_std is not None:
-            first = float(np.broadcast_to(joint_std, len(names))[k])
-        levels.append(
-            Level(name, first, joint_std is not None, usual=USUAL_JOINT / turned, latent=latent)
-        )
+        first, usual = GENEROUS_JOINT / turned, USUAL_JOINT / turned
+        if name not in names:
+            usual = EXACT
+            first = first if joint_std is None else EXACT
+        elif joint_std is not None:
+            first = float(np.broadcast_to(joint_std, len(names))[names.index(name)])
+        levels.append(Level(name, first, joint_std is not None, usual=usual, latent=latent))
     if problem.readings.smooth is not None:
         levels += [Level(name, GENEROUS_JOINT, floor=FLOOR_TARGET) for name in SMOOTH]
     return [
@@ -289,6 +299,9 @@ def _estimate(
         covariance = covariance + (by_lenses @ of_lenses @ by_lenses.T)[:c, :c]
     systematic: dict[str, float] = {}
     pixel_px = found.levels[levels[0].name]
+    prior = next((each for each in found.residuals if isinstance(each, BacklashPrior)), None)
+    if prior is not None:
+        covariance = covariance + mixture_covariance(found, prior)[:c, :c]
     if isinstance(measured, Reprojection):
         basis = follows = found.observability.basis
         weights = found.levels
@@ -301,8 +314,9 @@ def _estimate(
             scales = measured.noise_scale[detections.camera == k]
             rms = np.sqrt(np.mean(scales**2)) if len(scales) else 1.0
             camera_px[name] = pixel_px * float(rms)
-    findings = BundleFindings(observations, problem, found, levels, systematic, scale_std)
-    joint_std = [found.levels[name] for name in dict.fromkeys(problem.readings.level)]
+    backlash = {} if prior is None else _backlash(problem, x, prior)
+    findings = BundleFindings(observations, problem, found, levels, systematic, scale_std, backlash)
+    joint_std = _joint_std(problem, found)
     smooth = next((each for each in problem.priors if isinstance(each, SmoothErrors)), None)
     head = replace(x["head"], neck=start.neck, pose_errors={})
     if smooth is not None:
@@ -329,6 +343,7 @@ def _estimate(
         left_out=findings.left_out(),
         findings=findings.all(),
         levels=found.levels,
+        backlash_rad=backlash,
     )
 
 
@@ -348,6 +363,38 @@ def _consider(
     free, row = cholesky(S[:F, :F]), basis[x.columns("board_scale")[0]]
     follows = lenses - basis @ cho_solve(free, S[:F, F:])
     return lenses, follows, float(np.sqrt(row @ cho_solve(free, row)))
+
+
+def _joint_std(problem: BundleProblem, found: Adjustment) -> list[float]:
+    """Compute the noise of each kind of readings, with play, and backlash of unknown sign."""
+    postures, level = problem.readings.postures, np.array(problem.readings.level)
+    std = {}
+    for name in dict.fromkeys(problem.readings.level):
+        if name.startswith(PLAY):
+            continue
+        of_kind = postures.joint[:, postures.tied[level == name].any(axis=0)]
+        widths = found.x[BLOCK][np.unique(of_kind)] if len(found.x[BLOCK]) else np.zeros(1)
+        std[name] = np.sqrt(found.levels[name] ** 2 + (widths**2).mean() / 4)
+    for name in set(problem.readings.level) - set(std):
+        own = name.replace(PLAY, "readings")
+        own = own if own in std else "readings"
+        std[own] = np.hypot(std[own], found.levels[name] / 2)
+    return [float(each) for each in std.values()]
+
+
+def _backlash(
+    problem: BundleProblem, x: Variables, prior: BacklashPrior
+) -> dict[str, tuple[float, float]]:
+    postures, readings = problem.readings.postures, x["head"].kinematics.readings
+    first = np.unique(postures.joint, return_index=True)[1]
+    reading = postures.columns.ravel()[first]
+    own = np.broadcast_to(postures.own, postures.joint.shape).ravel()[first]
+    names = [
+        readings[r] if e < 0 else f"{EYES[e]}_{readings[r]}"
+        for r, e in zip(reading, own, strict=True)
+    ]
+    pairs = zip(x[BLOCK].tolist(), np.sqrt(np.diag(prior.covariance)).tolist(), strict=True)
+    return dict(zip(names, pairs, strict=True))
 
 
 def _residuals(problem: BundleProblem, found: Adjustment, views: int) -> dict[str, Array]:

@@ -9,12 +9,13 @@ from functools import cached_property
 import numpy as np
 
 from vergence.arrays import Array
+from vergence.calibration.backlash import BLOCK
 from vergence.calibration.bundle_start import BundleProblem, PoseObservations
 from vergence.calibration.hand_eye import LEAST_MOTION_RAD
 from vergence.calibration.moved_boards import HeldBoards
 from vergence.calibration.observations import Observations, most_seen
 from vergence.calibration.priors import BoardSize
-from vergence.calibration.residuals import Detections, Readings, Reprojection
+from vergence.calibration.residuals import PLAY, Detections, Readings, Reprojection
 from vergence.errors import counted, listed
 from vergence.estimation.adjustment import Adjustment
 from vergence.estimation.noise import Level
@@ -33,6 +34,8 @@ SURE = 5.0
 than noise makes in any recording."""
 LEAST_APART_S = 0.001
 """Least such time that is worth a warning: 0.06 degrees at a rad/s."""
+SURE_BACKLASH = 3.0
+"""Standard deviations from zero from which backlash is noted."""
 SURE_SIZE = 2.0
 """Standard deviations from which another size of the board is noted."""
 LOST = 0.02
@@ -85,6 +88,8 @@ class BundleFindings:
     systematic_px: Mapping[str, float]
     scale_std: float
     """Of the size of the board, relative to the stated one."""
+    backlash_rad: Mapping[str, tuple[float, float]]
+    """See BundleEstimate."""
 
     def left_out(self) -> dict[str, np.ndarray]:
         """Select by camera the corners (V, K) that must not take part in later figures."""
@@ -111,6 +116,7 @@ class BundleFindings:
             _noise(self),
             _noisy_readings(self),
             _lost_corners(self),
+            _backlash(self),
             _apart_in_time(self),
             _systematic(self),
             _board_size(self),
@@ -128,6 +134,8 @@ class BundleFindings:
         measured, weights = self.problem.measured, self.found.linear.weights
         detections = measured.detections
         corners, readings = measured.seen & (weights[0] < 1), weights[1] < 1
+        if self.readings.seen is not None:
+            readings = readings & self.readings.seen
         images = self.problem.contradicting.copy()
         lost = corners.sum(axis=1) > measured.seen.sum(axis=1) / 2
         images[detections.camera[lost], detections.views[lost]] = True
@@ -146,7 +154,7 @@ class BundleFindings:
     @property
     def reading_levels(self) -> list[Level]:
         """List the noise levels of the readings."""
-        return [level for level in self.levels if level.latent]
+        return [level for level in self.levels if level.latent and PLAY not in level.name]
 
     @property
     def poses_read(self) -> bool:
@@ -191,7 +199,7 @@ def _doubtful(of: BundleFindings) -> Iterator[Finding]:
         size = np.linalg.norm(away[eye == e], axis=0)
         columns = postures.columns[postures.eye == e][0]
         for k, level in enumerate(of.problem.readings.level):
-            if size[k] < SENSE * of.found.levels[level]:
+            if not level.startswith(PLAY) and size[k] < SENSE * of.found.levels[level]:
                 name = names[columns[k]]
                 sentence = (
                     f"The noise of {name} is {of.found.levels[level]:.2g} rad, and even the sense "
@@ -427,11 +435,37 @@ def _lost_corners(of: BundleFindings) -> Iterator[Finding]:
     yield severity("outlying-corners", sentence, where)
 
 
+def _backlash(of: BundleFindings) -> Iterator[Finding]:
+    """Note backlash of joints, and by how much joints differ that share a reading."""
+    sure = [
+        f"{name} {np.degrees(abs(width)):.2g} +- {np.degrees(std):.1g} degrees"
+        for name, (width, std) in of.backlash_rad.items()
+        if abs(width) > SURE_BACKLASH * std
+    ]
+    if sure:
+        sentence = (
+            f"Joints have backlash: {listed(sure)}. The calibration allows for it; a point that is "
+            "located by readings errs by half of it, to the side of the last motion (locate_seen "
+            "does not)."
+        )
+        yield note("backlash", sentence)
+    for level in of.levels:
+        number, std = level.name.removeprefix(PLAY), of.found.levels[level.name]
+        if number != level.name and std > of.found.levels.get(f"readings{number}", std):
+            sentence = (
+                "Joints of the two eyes that share a reading differ by "
+                f"{np.degrees(std):.2g} degrees (one standard deviation), as by play in their "
+                "linkage; the calibration allows for it."
+            )
+            yield note("play", sentence)
+
+
 def _apart_in_time(of: BundleFindings) -> Iterator[Finding]:
     """Report that one time offset does not fit the images of both eyes.
 
-    The errors of the readings are then proportional to the eye's velocity. The factor, by weighted
-    least squares, is how much later than the offset the images of that eye are.
+    The errors of the readings are then proportional to the eye's velocity, and may have passed for
+    backlash. The factor, by weighted least squares with both, is how much later than the offset the
+    images of that eye are.
     """
     readings, x = of.readings, of.found.x
     posture = of.problem.measured.detections.posture
@@ -441,13 +475,19 @@ def _apart_in_time(of: BundleFindings) -> Iterator[Finding]:
     rate, errors = readings.rate(x), of.found.errors[1]
     precision = np.array([of.found.levels[name] for name in readings.level]) ** -2
     weight = (of.found.linear.weights[1] == 1) * precision
-    information, late = (
-        np.bincount(eye, (weight * rate * each).sum(axis=1)) for each in (rate, errors)
-    )
-    if not (information > 0).all():
-        return
-    apart = float(np.diff(late / information)[0])
-    if abs(apart) < max(SURE * np.sqrt((1 / information).sum()), LEAST_APART_S):
+    postures = readings.postures
+    backlash = x[BLOCK][postures.joint] * postures.motion / 2 if x[BLOCK].size else 0.0
+    late = []
+    for e in range(len(EYES)):
+        mine, w = eye == e, np.sqrt(weight[eye == e]).ravel()
+        by_backlash = np.eye(rate.shape[1]) * postures.motion[mine][:, None]
+        rows = np.dstack([rate[mine], by_backlash]).reshape(len(w), -1) * w[:, None]
+        inverse = np.linalg.pinv(rows.T @ rows, hermitian=True)
+        solution = inverse @ rows.T @ (w * (errors - backlash)[mine].ravel())
+        late.append((solution[0], inverse[0, 0]))
+    (left, left_variance), (right, right_variance) = late
+    apart = float(right - left)
+    if abs(apart) < max(SURE * np.sqrt(left_variance + right_variance), LEAST_APART_S):
         return
     late_eye, other = EYES[::-1] if apart > 0 else EYES
     sentence = (

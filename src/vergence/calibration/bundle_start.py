@@ -9,6 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from vergence.arrays import Array
+from vergence.calibration.backlash import BLOCK, backlash_block, backlash_prior
 from vergence.calibration.observations import Observations, missing_reading
 from vergence.calibration.pose_errors import (
     SmoothErrors,
@@ -26,6 +27,9 @@ from vergence.calibration.priors import (
     lens_priors,
 )
 from vergence.calibration.residuals import (
+    LEAST_PLAY_RAD,
+    PLAY,
+    SLOW_RAD_S,
     TARGET_SHIFTS,
     TARGET_TURNS,
     TARGETS,
@@ -35,6 +39,7 @@ from vergence.calibration.residuals import (
     Readings,
     Reprojection,
     TargetPoses,
+    UnknownMotion,
 )
 from vergence.data.timing import (
     TRAJECTORY_DEGREE,
@@ -50,7 +55,14 @@ from vergence.estimation.residual import Residual
 from vergence.estimation.variables import Latent, Variables
 from vergence.geometry.board import corner_points
 from vergence.geometry.head import HeadCalibration, parameter_names
-from vergence.geometry.kinematics import EYES, GEARED, Kinematics, joint_names, reading_kinds
+from vergence.geometry.kinematics import (
+    EYES,
+    GEARED,
+    Kinematics,
+    Side,
+    joint_names,
+    reading_kinds,
+)
 from vergence.geometry.se3 import inverse, known_poses
 from vergence.vision.board_pose import LEAST_CORNERS, board_poses, determines_pose, seen_corners
 
@@ -79,10 +91,14 @@ class PoseObservations:
     whitening: Mapping[str, Array] | None
     """By camera: (V, 6, 6), see residuals.TargetPoses; None: no deviations are stated."""
     placement: np.ndarray
-    """As the two that follow, see Observations."""
+    """As those that follow, see Observations."""
     eye_angles: Array
     T_base_eye: Array | None
     timing: ClassVar[None] = None
+
+    def last_motions(self) -> Array:
+        """Return zeros (V, r): the order of the views says nothing."""
+        return np.zeros_like(self.eye_angles)
 
     def name_of_view(self, row: int) -> str:
         """Name a view by its number."""
@@ -124,6 +140,7 @@ def bundle_problem(
     T_cam_target: Mapping[str, Array] | None = None,
     least_blocks: float = np.inf,
     left_out: np.ndarray | None = None,
+    backlash: bool = False,
 ) -> BundleProblem:
     """Set up the bundle adjustment of a head.
 
@@ -180,6 +197,9 @@ def bundle_problem(
             systematic_px=observations.systematic_px,
         )
     priors: list[Residual] = []
+    ratios = start.kinematics.gear_ratios[_readings_of_joints(postures)]
+    if len(ratios) and backlash:
+        priors.append(backlash_prior(ratios))
     for name, mounted in cameras.items():
         last = LAST_ASSUMED.get(mounted.intrinsics.model)
         priors += lens_priors(mounted.intrinsics, f"{name}.{last}" not in fixed, name)
@@ -191,8 +211,9 @@ def bundle_problem(
             "head": head_block(head, _free(start, fixed, detections)),
             "boards": boards_block(np.tile(np.eye(4), (len(numbers), 1, 1))),
             "board_scale": board_scale_block(free=sized),
+            BLOCK: backlash_block(ratios, free=backlash),
         },
-        Latent(postures.reading, postures.reading.shape[1]),
+        Latent(postures.as_read, postures.reading.shape[1]),
     )
     x, wrong = _place_boards(measured, x, T[image])
     contradicting = np.zeros((len(cameras), V), bool) if left_out is None else left_out
@@ -206,9 +227,12 @@ def bundle_problem(
             T_cam_target=T_cam_target,
             least_blocks=least_blocks,
             left_out=contradicting,
+            backlash=backlash,
         )
     level = reading_levels(detections, start.kinematics, least_blocks)
-    readings = _readings(observations, postures, level)
+    readings = _readings(observations, start.kinematics, postures, level)
+    if len(ratios) and backlash:
+        priors.append(UnknownMotion(readings=readings))
     if sized and isinstance(observations, Observations):
         board = observations.board
         std = BOARD_SCALE if board.square_std_m is None else board.square_std_m / board.square_m
@@ -246,7 +270,7 @@ def _postures(
 
     VergenceError if a reading that is needed is not finite.
     """
-    columns = _latent_columns(kinematics, sorted(set(eye.tolist())))
+    columns, own = _latent_columns(kinematics, sorted(set(eye.tolist())))
     poses = observations.T_base_eye
     alone = poses is not None or len(columns) == len(EYES)
     whose = eye if alone else np.zeros(len(eye), dtype=np.intp)
@@ -256,30 +280,58 @@ def _postures(
         read, reading = poses[view, whose], np.zeros((len(view), 6))
         finite = known_poses(read)
         columns_of = reading.astype(np.intp)
+        own, joint = np.full(6, -1), columns_of
+        motion = np.zeros_like(reading)
     else:
         columns_of, read = np.array(columns, dtype=np.intp)[whose], None
         reading = observations.eye_angles[view[:, None], columns_of]
         finite = np.isfinite(reading).all(axis=1)
+        reading[:, own == 1] = 0.0  # two joints of one reading differ by nothing
+        motion = observations.last_motions()[view[:, None], columns_of]
+        of_joint = np.stack([columns_of, np.broadcast_to(own, columns_of.shape)], axis=-1)
+        joint = np.unique(of_joint.reshape(-1, 2), axis=0, return_inverse=True)[1]
+        joint = joint.reshape(columns_of.shape)
     if not finite.all():
         v, e = pairs[~finite][0]
         raise missing_reading(EYES[e] if alone else None, observations.name_of_view(v))
-    return posture.ravel(), Postures(view, whose, columns_of, reading, read)
+    return posture.ravel(), Postures(view, whose, columns_of, reading, read, own, motion, joint)
 
 
-def _latent_columns(kinematics: Kinematics, eyes: list[int]) -> list[list[int]]:
+def _readings_of_joints(postures: Postures) -> np.ndarray:
+    """Find which reading moves each joint (m,) that may have backlash."""
+    if postures.T_base_eye_read is not None:
+        return np.zeros(0, dtype=np.intp)
+    return postures.columns.ravel()[np.unique(postures.joint, return_index=True)[1]]
+
+
+def _latent_columns(kinematics: Kinematics, eyes: list[int]) -> tuple[list[list[int]], np.ndarray]:
     """Find which readings are latent in the postures of the left eye and of the right one.
 
     In the order of their kinds, so that those of the two eyes have noise of the same levels. One
-    list, for postures of both eyes, where some reading moves both or their kinds differ.
+    list, for postures of both eyes, where some reading moves both or their kinds differ. Also
+    returns Postures.own (n,): there a reading stands twice that alone moves a joint in each eye.
     """
     kinds = reading_kinds(kinematics)
     by_eye = [sorted(kinematics.used(eye), key=kinds.__getitem__) for eye in EYES]
+    alone = np.full(len(by_eye[0]), -1, dtype=np.intp)
     if len(eyes) == 1:
-        return [by_eye[eyes[0]]] * 2
+        return [by_eye[eyes[0]]] * 2, np.full(len(by_eye[eyes[0]]), -1, dtype=np.intp)
     left, right = by_eye
     if not set(left) & set(right) and [kinds[k] for k in left] == [kinds[k] for k in right]:
-        return by_eye
-    return [sorted({*left, *right})]
+        return by_eye, alone
+    columns, own = [], []
+    for k in sorted({*left, *right}):
+        shared = all(_moves_alone(kinematics, eye, k) for eye in EYES)
+        columns += [k, k] if shared else [k]
+        own += [0, 1] if shared else [-1]
+    return [columns], np.array(own, dtype=np.intp)
+
+
+def _moves_alone(kinematics: Kinematics, eye: Side, reading: int) -> bool:
+    """Check whether a reading moves joints of an eye, each of them without another reading."""
+    mixing = kinematics.chains[eye].mixing
+    moved = mixing[:, reading] != 0
+    return bool(moved.any() and (np.count_nonzero(mixing[moved], axis=1) == 1).all())
 
 
 def reading_levels(
@@ -300,26 +352,40 @@ def reading_levels(
         left, right = (detections.posture[detections.eyes == e] for e in range(len(EYES)))
         blocks = len(np.intersect1d(left, right))
     few = blocks < least_blocks
-    if few and kinematics.gear_ratios.max() < GEARED * kinematics.gear_ratios.min():
-        return ("readings",) * postures.reading.shape[1]
     kinds = np.array(reading_kinds(kinematics))[postures.columns[0]]
-    numbers = np.unique(kinds, return_inverse=True)[1]
-    return tuple(f"readings {k}" for k in numbers.tolist())
+    numbers = np.unique(kinds, return_inverse=True)[1].tolist()
+    together = few and kinematics.gear_ratios.max() < GEARED * kinematics.gear_ratios.min()
+    return tuple(
+        f"{PLAY} {k}" if own == 1 else "readings" if together else f"readings {k}"
+        for k, own in zip(numbers, postures.own.tolist(), strict=True)
+    )
 
 
 def _readings(
-    observations: Observations | PoseObservations, postures: Postures, level: tuple[str, ...]
+    observations: Observations | PoseObservations,
+    kinematics: Kinematics,
+    postures: Postures,
+    level: tuple[str, ...],
 ) -> Readings:
     """Collect the readings of the postures, with their motion where the eyes moved."""
     timing, poses = observations.timing, observations.T_base_eye
     if timing is None:
         return Readings(postures=postures, level=level)
-    run = timing.run[postures.view]  # a motion of one eye, not of both
-    around = stencil(timing.time_s[postures.view], np.where(run > 0, 2 * run - postures.eye, 0))
+    run, time_s = timing.run[postures.view], timing.time_s[postures.view]
+    run = np.where(run > 0, 2 * run - postures.eye, 0)  # a motion of one eye, not of both
+    around = stencil(time_s, run)
     read = observations.eye_angles if poses is None else poses
     motion, seldom = _read_motion(timing, read, postures, around)
     return Readings(
-        postures=postures, level=level, around=around, read_motion=motion, seldom_seen=seldom
+        postures=postures,
+        level=level,
+        around=around,
+        read_motion=motion,
+        seldom_seen=seldom,
+        run=run,
+        time_s=time_s,
+        least_play=LEAST_PLAY_RAD / kinematics.gear_ratios[postures.columns[0]],
+        slow=SLOW_RAD_S / kinematics.gear_ratios[postures.columns[0]],
     )
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.data.timing import Timing, moved_readings
+from vergence.data.timing import TAKEN_UP, Timing, moved_readings, taken_up
 from vergence.errors import VergenceError, counted
 from vergence.findings import Finding
 from vergence.geometry.board import Board
@@ -21,6 +21,9 @@ from vergence.geometry.head import HeadCalibration, check_camera_name
 from vergence.geometry.kinematics import EYES, Kinematics, Side, eye_pose
 from vergence.geometry.se3 import inverse, known_poses, mean_pose, rigid_poses
 
+CERTAIN_RAD = 0.04
+"""Travel of a joint one way, from which its backlash is taken up [rad]: more than that of hobby
+servos (up to one degree) and the range of their noise (three times 0.4 degrees)."""
 NO_CORNERS, UNREADABLE_IMAGE = "no-corners", "unreadable-image"
 """Codes of the notes on images that gave no corners."""
 
@@ -54,6 +57,9 @@ class Observations:
     systematic_px: float = 0.0
     """Smooth errors over the image [px] that the corners of all images of a camera are assumed to
     share at least: what is known of how they were found."""
+    last_motion: Array | None = None
+    """(V, r) sign of the last motion of each reading before it was read: 1, -1, or 0 where it is
+    not known; None: found from the readings, if each view was reached from the one before."""
     lines: np.ndarray | None = None
     """(V,) lines of frames.csv; None: views have no lines."""
     findings: tuple[Finding, ...] = ()
@@ -86,6 +92,8 @@ class Observations:
             wanted["timing.run"] = self.timing.run, (V,)
         if self.T_base_eye is not None:
             wanted["T_base_eye"] = self.T_base_eye, (V, 2, 4, 4)
+        if self.last_motion is not None:
+            wanted["last_motion"] = self.last_motion, self.eye_angles.shape
         for name, (array, shape) in wanted.items():
             if np.shape(array) != shape:
                 raise VergenceError(
@@ -136,8 +144,16 @@ class Observations:
             corners={name: corners[rows] for name, corners in self.corners.items()},
             timing=None if self.timing is None else self.timing.take(rows),
             T_base_eye=None if self.T_base_eye is None else self.T_base_eye[rows],
+            last_motion=self.last_motions()[rows],
             lines=None if self.lines is None else self.lines[rows],
         )
+
+    def last_motions(self) -> Array:
+        """Return last_motion (V, r), found from the readings where it is not given."""
+        if self.last_motion is not None:
+            return self.last_motion
+        turned = taken_up(self.eye_angles, CERTAIN_RAD / self.kinematics.gear_ratios)
+        return np.where(np.abs(turned) < TAKEN_UP, 0.0, np.sign(turned))
 
     def name_of_view(self, row: int) -> str:
         """Name a view by its line of frames.csv, or by its number."""

@@ -21,6 +21,8 @@ LEAST_ROWS = 7
 """Fewest samples of the window, for slower recordings."""
 TRAJECTORY_DEGREE = 7
 """Degree of the polynomial with enough neighbours; gives the errors stated for WINDOW_S."""
+TAKEN_UP = 1 - 1e-6
+"""Share from which play counts as taken up, for rounding."""
 _SLACK_S = 1e-6  # so that rounding of time stamps drops no row
 
 
@@ -84,6 +86,24 @@ def stencil(time_s: Array, run: np.ndarray, wanted: np.ndarray | None = None) ->
         neighbours[row, : len(rows)] = rows
         weights[row, : len(rows), : fit.shape[1]] = fit
     return Stencil(neighbours, weights)
+
+
+def taken_up(angles: Array, play: Array) -> Array:
+    """Compute how far play (r,) is taken up (V, r), row after row, in the sense of the last motion.
+
+    It goes from -1 to 1 while an angle (V, r) turns by the width of the play, and back. Before it
+    has turned as far for the first time, and where it is NaN, it is 0.
+    """
+    found = np.zeros_like(angles)
+    middle, certain = np.full(angles.shape[1], np.nan), np.zeros(angles.shape[1], bool)
+    for row, state in zip(angles, found, strict=True):
+        known = np.isfinite(row)
+        middle = np.where(np.isnan(middle), row, middle)
+        middle = np.where(known, np.clip(middle, row - play / 2, row + play / 2), middle)
+        away = np.where(known, row - middle, 0.0) / (play / 2)
+        certain |= np.abs(away) >= TAKEN_UP
+        state[:] = np.where(certain, away, 0.0)
+    return found
 
 
 def coefficients(around: Stencil, values: Array) -> Array:

@@ -11,7 +11,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.estimation.least_squares import least_squares
-from vergence.estimation.linear import Linear, linearise
+from vergence.estimation.linear import Linear, covariance_with, linearise
 from vergence.estimation.noise import (
     Level,
     determined_by_others,
@@ -23,6 +23,7 @@ from vergence.estimation.observability import Observability, observe
 from vergence.estimation.residual import (
     OUTLIER,
     Levels,
+    Posterior,
     Residual,
     Residuals,
     coordinate_levels,
@@ -42,8 +43,9 @@ FAILURES = 6
 of the tests there was none, in the other three one, one and four."""
 RELEASES = 2
 """How often fixed directions may be released again."""
-WEIGHINGS = 2
-"""How often the noise scale of each row is estimated, once all else has settled."""
+WEIGHINGS = 3
+"""How often the noise scale of each row is estimated, and residuals judge the estimate, once all
+else has settled."""
 FIRST_LEVEL_SHARE = 0.8
 """Least level of the first kind of data, relative to its median error: keeps half of them among
 the inliers."""
@@ -90,7 +92,7 @@ def adjust(
     linear: Linear | None = None
     log_variance = np.zeros(len(levels))
     agreed, converged, restarted, releases, failures = False, False, False, 0, 0
-    weighings = 0 if np.isfinite(outlier) else WEIGHINGS
+    weighings = 0
     for _ in range(ROUNDS):
         found = least_squares(residuals, x, levels=noise, outlier=outlier, basis=basis)
         x, residuals, converged, linear = found.x, found.residuals, found.converged, found.linear
@@ -103,7 +105,7 @@ def adjust(
         change = max(abs(np.log(estimated.levels[each.name] / noise[each.name])) for each in levels)
         noise, log_variance = estimated.levels, estimated.log_variance
         determined = determined_by_others(linear, levels, noise)
-        residuals = [residual.trust(noise, determined) for residual in residuals]
+        residuals = [residual.trust(x, noise, determined) for residual in residuals]
         before = 0 if seen is None else len(seen.fixed)
         linear = _inliers(residuals, x, noise, outlier, linear)
         now = observe(x, linear, noise)
@@ -119,10 +121,13 @@ def adjust(
             if weighings == WEIGHINGS:
                 break
             share = estimated.redundancy[0] / max(linear.count[0], 1)
-            residuals = [
-                _weighed(residual, x, weight, share, levels[0].floor)
-                for residual, weight in zip(residuals, linear.weights, strict=True)
-            ]
+            if np.isfinite(outlier):
+                residuals = [
+                    _weighed(residual, x, weight, share, levels[0].floor)
+                    for residual, weight in zip(residuals, linear.weights, strict=True)
+                ]
+            posterior = _posterior(x, linear, noise, basis)
+            residuals = [residual.judge(x, posterior) for residual in residuals]
             weighings += 1
         if failures == FAILURES:
             break
@@ -196,6 +201,14 @@ def _inliers(
     if known is not None and all(map(np.array_equal, weights, known.weights)):
         return known
     return linearise(residuals, x, errors, weights)
+
+
+def _posterior(x: Variables, linear: Linear, levels: Levels, basis: Array) -> Posterior:
+    def covariance(name: str) -> Array:
+        columns = x.columns(name)
+        return covariance_with(linear, levels, basis, columns)[columns]
+
+    return covariance
 
 
 def _weighed(

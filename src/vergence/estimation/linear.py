@@ -11,7 +11,14 @@ from scipy.sparse import csr_array
 
 from vergence.arrays import Array, scatter_add
 from vergence.errors import VergenceError
-from vergence.estimation.residual import LOST_WEIGHT, UNIT, Levels, Residuals, coordinate_levels
+from vergence.estimation.residual import (
+    LOST_WEIGHT,
+    UNIT,
+    Levels,
+    Residuals,
+    coordinate_levels,
+    noise_scales,
+)
 from vergence.estimation.variables import Variables
 
 
@@ -80,7 +87,7 @@ def linearise(
         M, k = error.shape
         rows = residual.rows(x)
         kept = np.repeat(weight, residual.together, axis=1)
-        root = np.sqrt(kept) / np.atleast_1d(residual.noise_scale)[:, None]
+        root = np.sqrt(kept) / noise_scales(residual)
         e, J, L = error * root, rows.by_shared, rows.by_latent
         J *= root[..., None]  # in place: these arrays are large
         if L is not None:
@@ -166,6 +173,15 @@ def cholesky(matrix: Array) -> tuple[Array, bool]:
         "The normal equations cannot be solved: look for wild corners, poses or readings, and for "
         "rows whose images and readings are of different moments."
     )
+
+
+def covariance_with(linear: Linear, levels: Levels, basis: Array, columns: np.ndarray) -> Array:
+    """Compute the covariance (G, m) of all shared unknowns with some of them.
+
+    The equations are in all G of them, which move along a basis (G, F).
+    """
+    schur = eliminate(linear.onto(basis), levels).schur
+    return basis @ cho_solve(cholesky(schur), basis[columns].T)
 
 
 def posterior(information: Array, vector: Array, covariance: Array) -> tuple[Array, Array]:

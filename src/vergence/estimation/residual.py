@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -46,7 +46,7 @@ class Residual:
     seen: Any = None
     """(M, k / together) of bool, which were measured; None: all."""
     noise_scale: Any = 1.0
-    """(M,) noise of each row relative to its level."""
+    """(M,), or (M, k), noise relative to the level."""
     weighs_rows: bool = False
     """Whether the noise scale of each row is estimated."""
     robust: bool = True
@@ -69,16 +69,25 @@ class Residual:
         """Return the residual with what it takes from the current estimate brought up to date."""
         return self
 
-    def trust(self, levels: Levels, determined: Levels) -> Residual:
+    def trust(self, x: Variables, levels: Levels, determined: Levels) -> Residual:
         """Return the residual for the noise levels of the next round.
 
         `determined` has for each level how well all other data determine what it measures.
         """
         return self
 
+    def judge(self, x: Variables, posterior: Posterior) -> Residual:
+        """Return the residual as the settled estimate suggests it, such as a prior's deviation.
+
+        `posterior` computes the covariance of a shared block.
+        """
+        return self
+
 
 Levels = Mapping[str, float]
 """Standard deviation of each noise level, by name."""
+Posterior = Callable[[str], Array]
+"""Covariance (s, s) of the shared block of a name."""
 Residuals = Sequence[Residual]
 
 
@@ -99,7 +108,13 @@ def coordinate_levels(residual: Residual, k: int) -> tuple[str, ...]:
 def standard_deviations(residual: Residual, k: int, levels: Levels) -> Array:
     """Compute the standard deviations (M, k) or (1, k) of errors."""
     level = np.array([levels.get(name, 1.0) for name in coordinate_levels(residual, k)])
-    return level * np.atleast_1d(residual.noise_scale)[:, None]
+    return level * noise_scales(residual)
+
+
+def noise_scales(residual: Residual) -> Array:
+    """Return the relative noise of a residual, in a shape that broadcasts to its errors (M, k)."""
+    scale = np.asarray(residual.noise_scale, dtype=float)
+    return scale if scale.ndim == 2 else np.atleast_1d(scale)[:, None]
 
 
 def relative_sizes(residual: Residual, errors: Array, levels: Levels) -> Array:
