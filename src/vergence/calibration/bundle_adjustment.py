@@ -146,6 +146,7 @@ class BundleEstimate:
             joint_std=self.joint_std,
             findings=self.findings,
             systematic_px=dict(self.systematic_px),
+            backlash_rad=dict(self.backlash_rad),
         )
 
 

@@ -40,7 +40,7 @@ about a tenth), and from which the result is void."""
 MISFIT_LIMITS = 1.5, 5.0
 """The same of the held-out error and its expectation; with ten views or more of both eyes the ratio
 stays below the first."""
-MISFIT_CAUSES = "look for backlash, a board that moved or bends, and time stamps of moving eyes"
+MISFIT_CAUSES = "look for a board that moved or bends, and time stamps of moving eyes"
 
 
 @dataclass(frozen=True, eq=False)

@@ -42,6 +42,7 @@ def calibration_report(result: CalibrationResult) -> Report:
         "pixel_std_px": accuracy.pixel_std_px,
         "camera_std_px": accuracy.camera_std_px,
         "joint_std": list(accuracy.joint_std),
+        "backlash_rad": accuracy.backlash_rad,
         "time_offset_ms": 1e3 * result.head.time_offset_s,
         "held_out": accuracy.held_out,
         "point_std": [dict(zip(names, row, strict=True)) for row in point_accuracy(result.head)],

@@ -41,7 +41,7 @@ from vergence.gaze.observation import (
     update_track,
 )
 from vergence.gaze.state import GazePhase, GazeSettings, GazeState
-from vergence.geometry.head import base_pose_in_body
+from vergence.geometry.head import base_pose_in_body, dead_bands
 from vergence.geometry.kinematics import eye_turn, readings_to_turn
 from vergence.geometry.neck import NECK_JOINTS
 from vergence.geometry.se3 import inverse, transform
@@ -195,6 +195,9 @@ def _move_eyes(
         phase = GazePhase.SACCADE
     else:
         phase = GazePhase.PURSUIT if _is_moving(settings, state) else GazePhase.FIXATION
+    if phase is GazePhase.FIXATION:  # eyes do not follow within the backlash, and would hunt
+        still = distance < dead_bands(settings.calibration)
+        goal, rate = np.where(still, at[EYE_READINGS], goal), np.where(still, 0.0, rate)
     command = HeadCommand(
         now_s,
         at,

@@ -173,6 +173,20 @@ def reading_stds(head: HeadCalibration) -> Array:
     return levels[np.minimum(kinds, len(levels) - 1)]
 
 
+def dead_bands(head: HeadCalibration) -> Array:
+    """Compute by how much each reading (r,) may change before its eyes follow [rad].
+
+    It is half of the stated backlash, as far as that is certain; 0: none is stated.
+    """
+    bands = np.zeros(len(head.kinematics.readings))
+    widths = {} if head.accuracy is None else head.accuracy.backlash_rad
+    for r, name in enumerate(head.kinematics.readings):
+        for owner in (name, *(f"{eye}_{name}" for eye in EYES)):
+            width, std = widths.get(owner, (0.0, 0.0))
+            bands[r] = max(bands[r], (abs(width) - std) / 2)
+    return bands
+
+
 def check_camera_name(name: str) -> None:
     """Raise ValueError for a name that no camera can have: it is also used in names of files."""
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]{0,63}", name) or name in EYES:

@@ -92,6 +92,12 @@ class Accuracy:
     same in all views, since the lens is not as its model; rms of one coordinate."""
     camera_std_px: dict[str, Annotated[float, Field(ge=0)]] = field(default_factory=dict)
     """By camera: noise of one coordinate of a corner, rms over its images; empty: pixel_std_px."""
+    backlash_rad: dict[str, tuple[float, Annotated[float, Field(ge=0)]]] = field(
+        default_factory=dict
+    )
+    """By reading, or by eye and reading (such as left_tilt) where joints of both eyes share one:
+    width of the backlash [rad of the reading], positive where the eye lags behind the reading and
+    negative where the sensor lags behind the eye, and its standard deviation."""
 
     @property
     def void(self) -> tuple[Finding, ...]:
