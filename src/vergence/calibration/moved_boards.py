@@ -102,10 +102,18 @@ def moved_boards(
     apart = held_boards(replace(problem, start=found.x))
     if apart is None:
         return None
-    x, own = apart.start, motion_levels(FIRST_MOTION, given=False)
-    measured, motion = found.residuals[0], apart.priors[-1]
-    assert isinstance(measured, (Reprojection, TargetPoses))
+    motion, of = apart.priors[-1], apart.measured.detections
     assert isinstance(motion, HeldBoards)
+    on_held = np.isin(of.board, [*motion.before, *motion.after])
+    held = np.isin(np.arange(len(of.postures.view)), of.posture[on_held])
+    # Images of such boards determine less of the eyes' angles than those of boards at rest do. So
+    # the errors of these readings are smaller, unless something moved: most heads end here.
+    squares = np.where(found.linear.weights[1] == 1, found.errors[1], 0.0) ** 2
+    if not (squares[held].mean(axis=0) > squares[~held].mean(axis=0)).any():
+        return None
+    x, own = apart.start, motion_levels(FIRST_MOTION, given=False)
+    measured = found.residuals[0]
+    assert isinstance(measured, (Reprojection, TargetPoses))
     measured = replace(measured, detections=apart.measured.detections)
     residuals, H = [measured, *found.residuals[1:], motion], len(motion.before)
     weights = [*found.linear.weights, np.ones((H, 6))]
