@@ -139,27 +139,27 @@ def test_poses_that_know_lengths_show_the_size_of_the_board():
 
 def test_an_arm_that_errs_by_its_links_keeps_the_lens_of_its_images(tmp_path):
     """Its smooth errors are corrected, in views that the calibration has not seen as well."""
-    arm = simulate(10)
-    alone = calibrate_intrinsics(arm.observations)["left_cam"].camera
-    found = calibrate(arm.observations, lens="radial-tangential")
+    T_eye_cam, _, observations = simulate(10)
+    alone = calibrate_intrinsics(observations)["left_cam"].camera
+    found = calibrate(observations, lens="radial-tangential")
     mounted = found.head.cameras["left_cam"]
     np.testing.assert_allclose(mounted.intrinsics.matrix, alone.matrix, rtol=0.003)
     assert {each.severity for each in found.findings} <= {"note"}
-    error = boxminus_pose(mounted.T_eye_cam, arm.T_eye_cam)
+    error = boxminus_pose(mounted.T_eye_cam, T_eye_cam)
     stds = np.sqrt(np.diag(found.accuracy.covariance))
     std = dict(zip(found.accuracy.parameters, stds, strict=True))
     for name, off in zip(POSE, error, strict=True):
         assert abs(off) < 4 * std[f"left_cam.T_eye_cam.{name}"]
     save_head(found.head, tmp_path / "head.json")
-    head, T = load_head(tmp_path / "head.json"), arm.observations.T_base_eye
+    head, T = load_head(tmp_path / "head.json"), observations.T_base_eye
     assert found.estimate is not None
     assert T is not None
     board = found.estimate.T_lbase_target[0]
-    points = found.estimate.board_scale * corner_points(arm.observations.board)
+    points = found.estimate.board_scale * corner_points(observations.board)
     errors = {}
     for what, eyes in (("read", T), ("corrected", eye_poses(head, T))):
         seen = project_at(mounted, np.eye(4), eyes[:, 0], transform(board, points)[None])
-        errors[what] = np.sqrt(np.nanmean((seen - arm.observations.corners["left_cam"]) ** 2))
+        errors[what] = np.sqrt(np.nanmean((seen - observations.corners["left_cam"]) ** 2))
     assert errors["corrected"] < errors["read"] / 2
     checked = found.accuracy.held_out
     assert checked is not None
