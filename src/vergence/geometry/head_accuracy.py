@@ -78,7 +78,8 @@ class Accuracy:
     """Noise of one coordinate of a corner, in a typical image."""
     joint_std: tuple[Annotated[float, Field(ge=0)], ...] = ()
     """Noise of the readings [rad]: of all, or of each kind (`kinematics.reading_kinds`), such as
-    pan and tilt; for eyes whose poses are given, rotation [rad] and translation [m]."""
+    pan and tilt; for eyes whose poses are given, rotation [rad] and translation [m], as corrected
+    by the head's pose_errors."""
     eye_motion: Literal["pan-tilt", "poses"] = "pan-tilt"
     """Whether the eyes were read as angles or as poses."""
     held_out: HeldOut | None = None
