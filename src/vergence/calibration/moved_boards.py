@@ -30,6 +30,10 @@ FIRST_MOTION, FLOOR = (0.003, 0.001), 1e-7
 """First levels, of a hand that is held still, and least ones [rad], [m]."""
 LEAST_HELD = 8
 """Fewest held boards by whose motion its levels are estimated, from three numbers of each kind."""
+SUSPECT = 0.75
+"""Mean square of the errors of readings before held boards, relative to others, from which the
+motion is estimated. One image a board and eye determines differences of readings only, so that half
+of a square is expected; simulated heads without motion had 0.78 at most."""
 CERTAIN = 3.0
 """Standard deviations of the mean square of a motion, from zero, from which boards did move. Those
 of 8 boards are determined to 3.5 at best."""
@@ -106,10 +110,8 @@ def moved_boards(
     assert isinstance(motion, HeldBoards)
     on_held = np.isin(of.board, [*motion.before, *motion.after])
     held = np.isin(np.arange(len(of.postures.view)), of.posture[on_held])
-    # Images of such boards determine less of the eyes' angles than those of boards at rest do. So
-    # the errors of these readings are smaller, unless something moved: most heads end here.
     squares = np.where(found.linear.weights[1] == 1, found.errors[1], 0.0) ** 2
-    if not (squares[held].mean(axis=0) > squares[~held].mean(axis=0)).any():
+    if not (squares[held].mean(axis=0) > SUSPECT * squares[~held].mean(axis=0)).any():
         return None
     x, own = apart.start, motion_levels(FIRST_MOTION, given=False)
     measured = found.residuals[0]
