@@ -436,7 +436,7 @@ def _lost_corners(of: BundleFindings) -> Iterator[Finding]:
 
 
 def _backlash(of: BundleFindings) -> Iterator[Finding]:
-    """Note backlash of joints, and by how much joints differ that share a reading."""
+    """Note backlash of joints, and play between joints that share a reading."""
     sure = [
         f"{name} {np.degrees(abs(width)):.2g} +- {np.degrees(std):.1g} degrees"
         for name, (width, std) in of.backlash_rad.items()

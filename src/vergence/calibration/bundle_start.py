@@ -97,7 +97,7 @@ class PoseObservations:
     timing: ClassVar[None] = None
 
     def last_motions(self) -> Array:
-        """Return zeros (V, r): the order of the views says nothing."""
+        """Return zeros (V, r): the views come in any order."""
         return np.zeros_like(self.eye_angles)
 
     def name_of_view(self, row: int) -> str:

@@ -406,7 +406,7 @@ class Readings(Residual):
     slow: Any = 0.0
     """(n,) rate below which an eye may stand still within the play [1/s]."""
     seen: Any = None
-    """(B, n) of bool: all but those that UnknownMotion has; None: all."""
+    """(B, n) of bool: false for those that UnknownMotion has; None: all count."""
     std: Any = np.inf
     """(n,) noise by the last estimate [rad]."""
     element: Index = field(init=False)

@@ -174,7 +174,7 @@ def reading_stds(head: HeadCalibration) -> Array:
 
 
 def dead_bands(head: HeadCalibration) -> Array:
-    """Compute by how much each reading (r,) may change before its eyes follow [rad].
+    """Compute the changes (r,) of the readings that its eyes do not follow [rad].
 
     It is half of the stated backlash, as far as that is certain; 0: none is stated.
     """
