@@ -25,10 +25,10 @@ from vergence.estimation.residual import Posterior, Residual, Rows
 from vergence.estimation.variables import Block, Variables
 
 BLOCK = "backlash"
-WIDTHS_RAD = np.radians([0.025, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6])
+WIDTHS_RAD = np.radians([0.05, 0.1, 0.2, 0.4, 0.8, 1.6])
 """Standard deviations of the widths at the joints of a head with backlash [rad], equally probable.
 Hobby servos have 0.5 to 1 degrees unloaded, and up to 2.6 under load."""
-SOME = 0.75
+SOME = 0.25
 """Probability that a head has backlash, before any data: an assumption."""
 LEAST_SHARE = 1e-6
 """Least share of the data in a mean, and of the prior: keeps both variances finite."""
