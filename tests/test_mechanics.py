@@ -22,7 +22,8 @@ from vergence.calibration.observations import Observations
 from vergence.data.timing import taken_up
 from vergence.findings import select
 from vergence.geometry.head import HeadCalibration, dead_bands
-from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics
+from vergence.geometry.joints import Joint
+from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics, Side
 from vergence.geometry.parameters import boxminus, without_offsets
 from vergence.twin.sensors import play
 
@@ -106,7 +107,7 @@ def test_joints_that_share_a_reading_have_play_between_them(apart: float):
     rng = np.random.default_rng(3)
     truth = without_offsets(other_head("shared tilt, pan", rng))
     names = {eye: {"tilt": f"{eye}_tilt", "pan": f"{eye}_pan"} for eye in EYES}
-    own = {
+    own: dict[Side, tuple[Joint, ...]] = {
         eye: tuple(
             replace(joint, readings={names[eye][joint.name]: factor})
             for joint in truth.kinematics.eyes[eye]

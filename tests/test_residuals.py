@@ -8,7 +8,8 @@ import pytest
 from simulated_head import skewed_head
 from simulated_recording import two_boards
 from vergence.arrays import Array
-from vergence.calibration.bundle_start import BundleProblem, PoseObservations, bundle_problem
+from vergence.calibration.bundle_start import BundleProblem, bundle_problem
+from vergence.calibration.observations import PoseObservations
 from vergence.calibration.priors import EyeDistance
 from vergence.estimation.residual import Residual
 from vergence.estimation.variables import Variables

@@ -10,12 +10,13 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.backlash import BLOCK
-from vergence.calibration.bundle_start import BundleProblem, PoseObservations
+from vergence.calibration.bundle_start import BundleProblem
 from vergence.calibration.hand_eye import LEAST_MOTION_RAD
 from vergence.calibration.moved_boards import HeldBoards
-from vergence.calibration.observations import Observations, most_seen
+from vergence.calibration.observations import Observations, PoseObservations, most_seen
 from vergence.calibration.priors import BoardSize
-from vergence.calibration.residuals import PLAY, Detections, Readings, Reprojection
+from vergence.calibration.readings import PLAY, Readings
+from vergence.calibration.residuals import Detections, Reprojection
 from vergence.errors import counted, listed
 from vergence.estimation.adjustment import Adjustment
 from vergence.estimation.noise import Level

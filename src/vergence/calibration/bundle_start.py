@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.backlash import BLOCK, backlash_block, backlash_prior
-from vergence.calibration.observations import Observations, missing_reading
+from vergence.calibration.observations import Observations, PoseObservations
 from vergence.calibration.pose_errors import (
     SmoothErrors,
     at_postures,
     pose_errors_block,
     smooth_functions,
 )
+from vergence.calibration.postures import postures_of, readings_of_joints
 from vergence.calibration.priors import (
     BOARD_SCALE,
     LAST_ASSUMED,
@@ -26,28 +26,14 @@ from vergence.calibration.priors import (
     head_block,
     lens_priors,
 )
+from vergence.calibration.readings import PLAY, Readings, UnknownMotion, readings_of
 from vergence.calibration.residuals import (
-    LEAST_PLAY_RAD,
-    PLAY,
-    SLOW_RAD_S,
     TARGET_SHIFTS,
     TARGET_TURNS,
     TARGETS,
     Detections,
-    Index,
-    Postures,
-    Readings,
     Reprojection,
     TargetPoses,
-    UnknownMotion,
-)
-from vergence.data.timing import (
-    TRAJECTORY_DEGREE,
-    Stencil,
-    Timing,
-    coefficients,
-    pose_coefficients,
-    stencil,
 )
 from vergence.errors import VergenceError
 from vergence.estimation.linear import linearise
@@ -59,7 +45,6 @@ from vergence.geometry.kinematics import (
     EYES,
     GEARED,
     Kinematics,
-    Side,
     joint_names,
     reading_kinds,
 )
@@ -77,32 +62,6 @@ millimetre, determine lengths better than a printed board does."""
 CONTRADICTS, ALIKE_M, ALIKE_PX = 10.0, 1e-3, 1.0
 """Multiple of the median distance, of boards and of corners, from which a view contradicts others,
 and distances that contradict nothing: those of single images, and of starts that are good."""
-LEAST_SEEN = 0.5
-"""Share of the rows of a motion in which an eye must see the board, among its neighbours in time,
-so that these determine the trajectory. An assumption: 2 and 5 of 30 rows are too few."""
-
-
-@dataclass(frozen=True, eq=False)
-class PoseObservations:
-    """Poses of a target that cameras measured in V views: `Observations` for devices that do so."""
-
-    T_cam_target: Mapping[str, Array]
-    """By camera: (V, 4, 4); NaN where none was measured."""
-    whitening: Mapping[str, Array] | None
-    """By camera: (V, 6, 6), see residuals.TargetPoses; None: no deviations are stated."""
-    placement: np.ndarray
-    """As those that follow, see Observations."""
-    eye_angles: Array
-    T_base_eye: Array | None
-    timing: ClassVar[None] = None
-
-    def last_motions(self) -> Array:
-        """Return zeros (V, r): the views come in any order."""
-        return np.zeros_like(self.eye_angles)
-
-    def name_of_view(self, row: int) -> str:
-        """Name a view by its number."""
-        return f"view {row}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,7 +129,7 @@ def bundle_problem(
     image = np.nonzero(seen.any(axis=2) & np.isin(observations.placement, numbers))
     camera, view = image
     eye = np.array([EYES.index(each.eye) for each in cameras.values()], dtype=np.intp)
-    posture, postures = _postures(start.kinematics, observations, view, eye[camera])
+    posture, postures = postures_of(start.kinematics, observations, view, eye[camera])
     board = np.searchsorted(numbers, observations.placement[view])
     detections = Detections(tuple(cameras), eye, camera, board, posture, postures)
     seen = seen[image]
@@ -197,7 +156,7 @@ def bundle_problem(
             systematic_px=observations.systematic_px,
         )
     priors: list[Residual] = []
-    ratios = start.kinematics.gear_ratios[_readings_of_joints(postures)]
+    ratios = start.kinematics.gear_ratios[readings_of_joints(postures)]
     if len(ratios) and backlash:
         priors.append(backlash_prior(ratios))
     for name, mounted in cameras.items():
@@ -230,7 +189,7 @@ def bundle_problem(
             backlash=backlash,
         )
     level = reading_levels(detections, start.kinematics, least_blocks)
-    readings = _readings(observations, start.kinematics, postures, level)
+    readings = readings_of(observations, start.kinematics, postures, level)
     if len(ratios) and backlash:
         priors.append(UnknownMotion(readings=readings))
     if sized and isinstance(observations, Observations):
@@ -260,80 +219,6 @@ def _stacked(
     return np.stack([by_camera.get(name, np.full(shape, np.nan)) for name in cameras])
 
 
-def _postures(
-    kinematics: Kinematics,
-    observations: Observations | PoseObservations,
-    view: np.ndarray,
-    eye: np.ndarray,
-) -> tuple[Index, Postures]:
-    """Assign a posture to each of M detections, in views (M,) and by eyes (M,), and all of them.
-
-    VergenceError if a reading that is needed is not finite.
-    """
-    columns, own = _latent_columns(kinematics, sorted(set(eye.tolist())))
-    poses = observations.T_base_eye
-    alone = poses is not None or len(columns) == len(EYES)
-    whose = eye if alone else np.zeros(len(eye), dtype=np.intp)
-    pairs, posture = np.unique(np.stack([view, whose], axis=1), axis=0, return_inverse=True)
-    view, whose = pairs.T
-    if poses is not None:
-        read, reading = poses[view, whose], np.zeros((len(view), 6))
-        finite = known_poses(read)
-        columns_of = reading.astype(np.intp)
-        own, joint = np.full(6, -1), columns_of
-        motion = np.zeros_like(reading)
-    else:
-        columns_of, read = np.array(columns, dtype=np.intp)[whose], None
-        reading = observations.eye_angles[view[:, None], columns_of]
-        finite = np.isfinite(reading).all(axis=1)
-        reading[:, own == 1] = 0.0  # two joints of one reading differ by nothing
-        motion = observations.last_motions()[view[:, None], columns_of]
-        of_joint = np.stack([columns_of, np.broadcast_to(own, columns_of.shape)], axis=-1)
-        joint = np.unique(of_joint.reshape(-1, 2), axis=0, return_inverse=True)[1]
-        joint = joint.reshape(columns_of.shape)
-    if not finite.all():
-        v, e = pairs[~finite][0]
-        raise missing_reading(EYES[e] if alone else None, observations.name_of_view(v))
-    return posture.ravel(), Postures(view, whose, columns_of, reading, read, own, motion, joint)
-
-
-def _readings_of_joints(postures: Postures) -> np.ndarray:
-    """Find which reading moves each joint (m,) that may have backlash."""
-    if postures.T_base_eye_read is not None:
-        return np.zeros(0, dtype=np.intp)
-    return postures.columns.ravel()[np.unique(postures.joint, return_index=True)[1]]
-
-
-def _latent_columns(kinematics: Kinematics, eyes: list[int]) -> tuple[list[list[int]], np.ndarray]:
-    """Find which readings are latent in the postures of the left eye and of the right one.
-
-    In the order of their kinds, so that those of the two eyes have noise of the same levels. One
-    list, for postures of both eyes, where some reading moves both or their kinds differ. Also
-    returns Postures.own (n,): there a reading stands twice that alone moves a joint in each eye.
-    """
-    kinds = reading_kinds(kinematics)
-    by_eye = [sorted(kinematics.used(eye), key=kinds.__getitem__) for eye in EYES]
-    alone = np.full(len(by_eye[0]), -1, dtype=np.intp)
-    if len(eyes) == 1:
-        return [by_eye[eyes[0]]] * 2, np.full(len(by_eye[eyes[0]]), -1, dtype=np.intp)
-    left, right = by_eye
-    if not set(left) & set(right) and [kinds[k] for k in left] == [kinds[k] for k in right]:
-        return by_eye, alone
-    columns, own = [], []
-    for k in sorted({*left, *right}):
-        shared = all(_moves_alone(kinematics, eye, k) for eye in EYES)
-        columns += [k, k] if shared else [k]
-        own += [0, 1] if shared else [-1]
-    return [columns], np.array(own, dtype=np.intp)
-
-
-def _moves_alone(kinematics: Kinematics, eye: Side, reading: int) -> bool:
-    """Check whether a reading moves joints of an eye, each of them without another reading."""
-    mixing = kinematics.chains[eye].mixing
-    moved = mixing[:, reading] != 0
-    return bool(moved.any() and (np.count_nonzero(mixing[moved], axis=1) == 1).all())
-
-
 def reading_levels(
     detections: Detections, kinematics: Kinematics, least_blocks: float
 ) -> tuple[str, ...]:
@@ -359,67 +244,6 @@ def reading_levels(
         f"{PLAY} {k}" if own == 1 else "readings" if together else f"readings {k}"
         for k, own in zip(numbers, postures.own.tolist(), strict=True)
     )
-
-
-def _readings(
-    observations: Observations | PoseObservations,
-    kinematics: Kinematics,
-    postures: Postures,
-    level: tuple[str, ...],
-) -> Readings:
-    """Collect the readings of the postures, with their motion where the eyes moved."""
-    timing, poses = observations.timing, observations.T_base_eye
-    if timing is None:
-        return Readings(postures=postures, level=level)
-    run, time_s = timing.run[postures.view], timing.time_s[postures.view]
-    run = np.where(run > 0, 2 * run - postures.eye, 0)  # a motion of one eye, not of both
-    around = stencil(time_s, run)
-    read = observations.eye_angles if poses is None else poses
-    motion, seldom = _read_motion(timing, read, postures, around)
-    return Readings(
-        postures=postures,
-        level=level,
-        around=around,
-        read_motion=motion,
-        seldom_seen=seldom,
-        run=run,
-        time_s=time_s,
-        least_play=LEAST_PLAY_RAD / kinematics.gear_ratios[postures.columns[0]],
-        slow=SLOW_RAD_S / kinematics.gear_ratios[postures.columns[0]],
-    )
-
-
-def _read_motion(
-    timing: Timing, read: Array, postures: Postures, around: Stencil
-) -> tuple[Array, np.ndarray]:
-    """Fit polynomials in time to what was read around B postures, from the reading's moment on.
-
-    Also returns (B,) of bool: where the board is seen in too few rows to determine the trajectory.
-    A polynomial through these would bridge motions that only the readings show.
-    """
-    view = postures.view
-    motion = np.zeros((*postures.reading.shape, TRAJECTORY_DEGREE))
-    seldom = np.zeros(len(view), bool)
-    nearby_s = timing.time_s[view][around.neighbours]
-    for e in np.unique(postures.eye):
-        mine = np.flatnonzero(postures.eye == e)
-        wanted = np.isin(np.arange(len(read)), view[mine])
-        poses = read.ndim > 2
-        own = read[:, e] if poses else read[:, postures.columns[mine[0]]]
-        known = np.asarray(np.isfinite(own).reshape(len(own), -1).all(axis=1))
-        run = np.where(known, timing.run, 0)  # unknown rows are no neighbours of known ones
-        every = stencil(timing.time_s, run, wanted)
-        if poses:
-            own = np.where(known[:, None, None], own, np.eye(4))
-            motion[mine] = pose_coefficients(every, own)[view[mine]]
-        else:
-            motion[mine] = coefficients(every, np.nan_to_num(own))[view[mine]]
-        for b in mine[run[view[mine]] > 0]:
-            near = (timing.time_s >= nearby_s[b].min()) & (timing.time_s <= nearby_s[b].max())
-            near &= run == run[view[b]]
-            seen = np.isin(np.flatnonzero(near), view[mine]).sum()
-            seldom[b] = seen < LEAST_SEEN * near.sum()
-    return motion, seldom
 
 
 def _free(start: HeadCalibration, fixed: Collection[str], detections: Detections) -> np.ndarray:

@@ -14,8 +14,9 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.bundle_start import BundleProblem
+from vergence.calibration.postures import Index
 from vergence.calibration.priors import POSE_SCALE, boards_block
-from vergence.calibration.residuals import Index, Reprojection, TargetPoses
+from vergence.calibration.residuals import Reprojection, TargetPoses
 from vergence.estimation.adjustment import Adjustment
 from vergence.estimation.linear import linearise
 from vergence.estimation.noise import Level, estimate_noise

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -181,6 +182,29 @@ class Observations:
             return replace(self, eye_angles=angles)
         poses = moved_readings(self.T_base_eye, self.timing, head.time_offset_s)
         return replace(self, T_base_eye=poses)
+
+
+@dataclass(frozen=True, eq=False)
+class PoseObservations:
+    """Poses of a target that cameras measured in V views: `Observations` for devices that do so."""
+
+    T_cam_target: Mapping[str, Array]
+    """By camera: (V, 4, 4); NaN where none was measured."""
+    whitening: Mapping[str, Array] | None
+    """By camera: (V, 6, 6), see residuals.TargetPoses; None: no deviations are stated."""
+    placement: np.ndarray
+    """As those that follow, see Observations."""
+    eye_angles: Array
+    T_base_eye: Array | None
+    timing: ClassVar[None] = None
+
+    def last_motions(self) -> Array:
+        """Return zeros (V, r): the views come in any order."""
+        return np.zeros_like(self.eye_angles)
+
+    def name_of_view(self, row: int) -> str:
+        """Name a view by its number."""
+        return f"view {row}"
 
 
 def camera_eyes(observations: Observations) -> dict[str, Side]:

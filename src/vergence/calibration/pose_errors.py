@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.residuals import SMOOTH, Postures
+from vergence.calibration.postures import Postures
+from vergence.calibration.readings import SMOOTH
 from vergence.estimation.residual import Levels, Residual, Rows
 from vergence.estimation.variables import Block, Variables
 from vergence.geometry.kinematics import EYES, Side

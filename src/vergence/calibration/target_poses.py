@@ -20,9 +20,13 @@ from vergence.calibration.bundle_adjustment import (
     check_noise,
     fixed_by_default,
 )
-from vergence.calibration.bundle_start import PoseObservations
 from vergence.calibration.hand_eye import median_turn, robust_park_martin
-from vergence.calibration.observations import base_by_boards, mean_placed, most_seen
+from vergence.calibration.observations import (
+    PoseObservations,
+    base_by_boards,
+    mean_placed,
+    most_seen,
+)
 from vergence.calibration.plausibility import implausible_geometry
 from vergence.calibration.residuals import TARGET_SHIFTS, TARGET_TURNS
 from vergence.errors import VergenceError, counted

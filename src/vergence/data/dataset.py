@@ -130,7 +130,7 @@ class Dataset:
         if image.dtype == np.uint8:
             return image
         bits = stated.bits or max(8, int(image.max()).bit_length())
-        return np.minimum(image >> (bits - 8), 255).astype(np.uint8)
+        return np.minimum(np.right_shift(image, bits - 8), 255).astype(np.uint8)
 
     def frame(self, row: int) -> Frame:
         """Read a row with all its images; errors as in `image`."""
