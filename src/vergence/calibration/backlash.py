@@ -90,8 +90,8 @@ class BacklashPrior(Residual):
 
 def backlash_prior(gear_ratios: Array) -> BacklashPrior:
     """Make the prior of the backlash (m,) of readings before gears of these ratios (m,)."""
-    widest = WIDTHS_RAD[-1] / gear_ratios
-    return BacklashPrior(gear_ratios=gear_ratios, noise_scale=widest, covariance=np.diag(widest**2))
+    std = np.sqrt(SOME * (WIDTHS_RAD**2).mean()) / gear_ratios
+    return BacklashPrior(gear_ratios=gear_ratios, noise_scale=std, covariance=np.diag(std**2))
 
 
 def mixture_covariance(found: Adjustment, prior: BacklashPrior) -> Array:

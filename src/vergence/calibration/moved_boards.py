@@ -31,10 +31,10 @@ FIRST_MOTION, FLOOR = (0.003, 0.001), 1e-7
 """First levels, of a hand that is held still, and least ones [rad], [m]."""
 LEAST_HELD = 8
 """Fewest held boards by whose motion its levels are estimated, from three numbers of each kind."""
-SUSPECT = 0.75
+SUSPECT = 1.0
 """Mean square of the errors of readings before held boards, relative to others, from which the
 motion is estimated. One image a board and eye determines differences of readings only, so that half
-of a square is expected; simulated heads without motion had 0.78 at most."""
+of a square is expected; simulated heads without motion seldom had more than 0.78."""
 CERTAIN = 3.0
 """Standard deviations of the mean square of a motion, from zero, from which boards did move. Those
 of 8 boards are determined to 3.5 at best."""

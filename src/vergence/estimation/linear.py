@@ -84,6 +84,8 @@ def linearise(
     squares, count = np.zeros(Q), np.zeros(Q)
     along = np.arange(n)
     for residual, error, weight in zip(residuals, errors, weights, strict=True):
+        if not weight.any():  # nothing of it was measured
+            continue
         M, k = error.shape
         rows = residual.rows(x)
         kept = np.repeat(weight, residual.together, axis=1)

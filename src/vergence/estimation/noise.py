@@ -80,6 +80,8 @@ def estimate_noise(
     for _ in range(SCORING_STEPS):
         # A level at its floor is left out of the scoring step.
         stuck = fixed | ((s <= floor + 1e-9) & (now.score <= 0))
+        if stuck.all():
+            break
         fisher = now.information + 1e-9 * np.eye(len(s))
         fisher[stuck] = fisher[:, stuck] = 0
         fisher[stuck, stuck] = 1
