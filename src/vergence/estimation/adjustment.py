@@ -92,7 +92,7 @@ def adjust(
     linear: Linear | None = None
     log_variance = np.zeros(len(levels))
     agreed, converged, restarted, releases, failures = False, False, False, 0, 0
-    weighings = 0
+    weighings = WEIGHINGS - 1 if fixed.all() else 0  # at known noise one is enough
     for _ in range(ROUNDS):
         found = least_squares(residuals, x, levels=noise, outlier=outlier, basis=basis)
         x, residuals, converged, linear = found.x, found.residuals, found.converged, found.linear
