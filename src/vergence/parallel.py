@@ -60,7 +60,7 @@ def run_tasks(
         warnings.simplefilter("ignore", UserWarning)  # joblib's, of results that were not taken
         run = joblib.Parallel(count, return_as="generator_unordered", max_nbytes=None)
         # Workers inherit that signals are blocked: this process alone handles them, and kills them.
-        resource_tracker.ensure_running()  # its start unblocks them
+        _start_tracker()  # its start unblocks them
         before = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
         try:
             results: Any = run(
@@ -77,6 +77,20 @@ def run_tasks(
                     "A process ended before its work was done, perhaps for want of memory; fewer "
                     "processes (--jobs) need less."
                 ) from None
+
+
+def _start_tracker() -> None:
+    """Start the process that removes what killed workers leave, without its warnings of that.
+
+    It outlives this process, and would have the last word in its place.
+    """
+    before = os.environ.get("PYTHONWARNINGS")
+    os.environ["PYTHONWARNINGS"] = "ignore"
+    try:
+        resource_tracker.ensure_running()
+    finally:
+        del os.environ["PYTHONWARNINGS"]
+        os.environ.update({} if before is None else {"PYTHONWARNINGS": before})
 
 
 @contextmanager
