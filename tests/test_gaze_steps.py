@@ -12,6 +12,8 @@ from vergence.data.dataset import Frame
 from vergence.gaze.commands import EYE_READINGS, NECK, JointLimits, setpoint
 from vergence.gaze.controller import step_gaze
 from vergence.gaze.state import GazePhase, GazeSettings, GazeState, initial_gaze_state, look_at
+from vergence.geometry.head_accuracy import Accuracy
+from vergence.geometry.kinematics import EYE_JOINTS
 
 SETTINGS = GazeSettings(calibration=four_cameras())
 WITH_NECK = replace(SETTINGS, use_neck=True)
@@ -85,6 +87,21 @@ def test_a_correction_by_more_than_half_a_fovea_is_a_saccade(turn_deg, phase):
     moved = looking(SETTINGS, settled, point_at(turn_deg, 0, 5.0), 1.5 * STEP_S)[-1]
     assert moved.phase is phase
     assert (moved.since_s == settled.since_s) == (phase is GazePhase.FIXATION)
+
+
+@pytest.mark.parametrize(
+    ("turn_deg", "width_deg", "follows"),
+    [(0.2, 0.6, False), (0.5, 0.6, True), (0.2, -0.6, True), (0.2, 0.0, True)],
+)
+def test_a_fixating_eye_that_lags_is_not_moved_within_its_backlash(turn_deg, width_deg, follows):
+    """An eye before which its sensor lags, a negative width, follows every command."""
+    widths = dict.fromkeys(EYE_JOINTS, (np.radians(width_deg), np.radians(0.02)))
+    accuracy = Accuracy(method="bundle", backlash_rad=widths)
+    settings = replace(SETTINGS, calibration=replace(four_cameras(), accuracy=accuracy))
+    settled = looking(settings, at_rest(settings), point_at(0, 0, 5.0), 0.5)[-1]
+    moved = looking(settings, settled, point_at(turn_deg, 0, 5.0), 1.5 * STEP_S)[-1]
+    assert moved.phase is GazePhase.FIXATION
+    assert (np.abs(moved.command.goal - settled.command.goal).max() > 1e-4) == follows
 
 
 @pytest.mark.parametrize("pan_deg", [40.0, 84.0])

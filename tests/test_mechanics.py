@@ -69,7 +69,7 @@ def test_backlash_does_not_pass_for_a_gain(width: float):
     assert len(notes) == (width != 0)
     assert not select(found.findings, "void", "warning")
     bands = dead_bands(replace(found.head, accuracy=found.accuracy))
-    assert bands == pytest.approx(np.full(4, abs(width) / 2), abs=np.radians(0.08))
+    assert bands == pytest.approx(np.full(4, max(width, 0.0) / 2), abs=np.radians(0.08))
     least = np.hypot(NOISE.joint_rad, width / 2)
     assert found.joint_std == pytest.approx([least] * 2, rel=0.35)
 

@@ -25,6 +25,7 @@ from vergence.estimation.residual import Posterior, Residual, Rows
 from vergence.estimation.variables import Block, Variables
 
 BLOCK = "backlash"
+"""Name of the shared unknown: (m,) widths [rad of the reading]."""
 WIDTHS_RAD = np.radians([0.05, 0.1, 0.2, 0.4, 0.8, 1.6])
 """Standard deviations of the widths at the joints of a head with backlash [rad], equally probable.
 Hobby servos have 0.5 to 1 degrees unloaded, and up to 2.6 under load."""
@@ -48,8 +49,6 @@ class BacklashPrior(Residual):
     """(m,) of the readings, whose widths are as much larger."""
     noise_scale: Array
     """(m,) standard deviation of the normal prior [rad of the reading]."""
-    probability: float = SOME
-    """That there is backlash."""
     covariance: Array
     """(m, m) of the widths by the mixture."""
     robust: bool = field(default=False, init=False)
@@ -63,27 +62,27 @@ class BacklashPrior(Residual):
 
     def judge(self, x: Variables, posterior: Posterior) -> BacklashPrior:
         """Weigh the parts of the mixture by how well the data agree with each."""
-        before = self.noise_scale**-2
-        information = np.linalg.inv(posterior(BLOCK)) - np.diag(before)
-        vector = (information + np.diag(before)) @ x[BLOCK]
+        before, covariance = self.noise_scale**-2, posterior(BLOCK)
+        precision = np.linalg.inv(covariance)
+        vector = precision @ x[BLOCK]
         m, scales = len(vector), WIDTHS_RAD[:, None] / self.gear_ratios
-        covariances = np.linalg.inv(information + np.eye(m) * scales[:, None] ** -2)
+        by_data = precision - np.diag(before)
+        covariances = np.linalg.inv(by_data + np.eye(m) * scales[:, None] ** -2)
         means = covariances @ vector
         # The density of the data, relative to that without backlash.
         log_density = means @ vector / 2 + np.linalg.slogdet(covariances)[1] / 2
         log_density -= np.log(scales).sum(axis=1)
-        weights = softmax(np.append(np.log(SOME / len(scales)) + log_density, np.log(1 - SOME)))[
-            :-1
-        ]
+        log_some = np.log(SOME / len(scales)) + log_density
+        weights = softmax(np.append(log_some, np.log(1 - SOME)))[:-1]
         mean = weights @ means
         squares = covariances + means[:, :, None] * means[:, None]
-        data = 1 / np.maximum(1 / np.diag(posterior(BLOCK)) - before, LEAST_SHARE * before)
+        # For each joint alone: the variance by the data, and how far the mean follows them.
+        data = 1 / np.maximum(1 / np.diag(covariance) - before, LEAST_SHARE * before)
         follows = weights @ (scales**2 / (scales**2 + data))
         follows = np.clip(follows, LEAST_SHARE, 1 - LEAST_SHARE)
         return replace(
             self,
             noise_scale=np.sqrt(data * follows / (1 - follows)),
-            probability=float(weights.sum()),
             covariance=np.tensordot(weights, squares, 1) - np.outer(mean, mean),
         )
 

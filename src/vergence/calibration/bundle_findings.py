@@ -445,9 +445,9 @@ def _backlash(of: BundleFindings) -> Iterator[Finding]:
     ]
     if sure:
         sentence = (
-            f"Joints have backlash: {listed(sure)}. The calibration allows for it; a point that is "
-            "located by readings errs by half of it, to the side of the last motion (locate_seen "
-            "does not)."
+            f"Joints have backlash: {listed(sure)}. The calibration allows for it; readings err by "
+            "half of it, to the side of the last motion, unless images correct them "
+            "(`SelfCalibrator`)."
         )
         yield note("backlash", sentence)
     for level in of.levels:

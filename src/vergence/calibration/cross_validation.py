@@ -40,7 +40,6 @@ about a tenth), and from which the result is void."""
 MISFIT_LIMITS = 1.5, 5.0
 """The same of the held-out error and its expectation; with ten views or more of both eyes the ratio
 stays below the first."""
-MISFIT_CAUSES = "look for a board that moved or bends, and time stamps of moving eyes"
 
 
 @dataclass(frozen=True, eq=False)
@@ -280,8 +279,8 @@ def cross_validate(
             "held-out-misfit",
             misfit,
             MISFIT_LIMITS,
-            f"Held-out points are {misfit:.1f} times as wrong as the noise explains; "
-            f"{MISFIT_CAUSES}.",
+            f"Held-out points are {misfit:.1f} times as wrong as the noise explains; look for a "
+            "board that moved or bends, and time stamps of moving eyes.",
         ),
         (
             "stated-too-small",

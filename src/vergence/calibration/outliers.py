@@ -1,4 +1,4 @@
-"""Leave out corners that are not where their neighbours in the image, or an estimate, put them.
+"""Leave out corners that are not where their neighbours in the image put them.
 
 A board's corners lie evenly on it, and nearly so in a small part of any image. So stray ones are
 found before a lens is known, whose fit by least squares they would spoil.

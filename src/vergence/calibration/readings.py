@@ -150,7 +150,7 @@ class Readings(Residual):
         chosen = np.where(trusted[:, None] | self.seldom_seen[:, None, None], reading, latent)
         return replace(self, coefficients=chosen)
 
-    def trust(self, x: Variables, levels: Levels, determined: Levels) -> Readings:
+    def trust(self, levels: Levels, determined: Levels) -> Readings:
         """Take the trajectory from readings that are known well."""
         well = {k for k in set(self.level) if levels[k] < TRUSTED_READINGS * determined[k]}
         std = np.array([levels[name] for name in self.level])
@@ -220,9 +220,9 @@ class UnknownMotion(Residual):
         readings = self.readings.follow(x)
         return self if readings is self.readings else replace(self, readings=readings)
 
-    def trust(self, x: Variables, levels: Levels, determined: Levels) -> UnknownMotion:
+    def trust(self, levels: Levels, determined: Levels) -> UnknownMotion:
         """Keep what Readings trusts."""
-        return replace(self, readings=self.readings.trust(x, levels, determined))
+        return replace(self, readings=self.readings.trust(levels, determined))
 
     def judge(self, x: Variables, posterior: Posterior) -> UnknownMotion:
         """Take the readings that Readings leaves out."""

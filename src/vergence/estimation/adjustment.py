@@ -105,7 +105,7 @@ def adjust(
         change = max(abs(np.log(estimated.levels[each.name] / noise[each.name])) for each in levels)
         noise, log_variance = estimated.levels, estimated.log_variance
         determined = determined_by_others(linear, levels, noise)
-        residuals = [residual.trust(x, noise, determined) for residual in residuals]
+        residuals = [residual.trust(noise, determined) for residual in residuals]
         before = 0 if seen is None else len(seen.fixed)
         linear = _inliers(residuals, x, noise, outlier, linear)
         now = observe(x, linear, noise)

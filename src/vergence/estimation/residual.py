@@ -69,7 +69,7 @@ class Residual:
         """Return the residual with what it takes from the current estimate brought up to date."""
         return self
 
-    def trust(self, x: Variables, levels: Levels, determined: Levels) -> Residual:
+    def trust(self, levels: Levels, determined: Levels) -> Residual:
         """Return the residual for the noise levels of the next round.
 
         `determined` has for each level how well all other data determine what it measures.

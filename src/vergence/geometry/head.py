@@ -176,14 +176,15 @@ def reading_stds(head: HeadCalibration) -> Array:
 def dead_bands(head: HeadCalibration) -> Array:
     """Compute the changes (r,) of the readings that its eyes do not follow [rad].
 
-    It is half of the stated backlash, as far as that is certain; 0: none is stated.
+    It is half of the stated backlash, as far as that is certain, where the eye lags behind; an eye
+    before which its sensor lags follows every command. 0: none is stated.
     """
     bands = np.zeros(len(head.kinematics.readings))
     widths = {} if head.accuracy is None else head.accuracy.backlash_rad
     for r, name in enumerate(head.kinematics.readings):
         for owner in (name, *(f"{eye}_{name}" for eye in EYES)):
             width, std = widths.get(owner, (0.0, 0.0))
-            bands[r] = max(bands[r], (abs(width) - std) / 2)
+            bands[r] = max(bands[r], (width - std) / 2)
     return bands
 
 
