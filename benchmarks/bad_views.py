@@ -19,7 +19,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices; before num
 import numpy as np
 import tyro
 
-from simulated_head import HEIGHT, WIDTH, probability, random_head
+from simulated_head import HEIGHT, WIDTH, poses_and_gains, probability, random_head
 from simulated_recording import BOARD, POINTS, Noise, Recording, inside_image, record
 from vergence.calibration.calibrate import CalibrationResult, calibrate
 from vergence.calibration.observations import Observations
@@ -134,16 +134,9 @@ def outside(result: CalibrationResult, truth: HeadCalibration) -> list[str]:
     if result.observations.T_base_eye is not None:  # an offset of tilt is a turn of the camera
         truth = replace(truth, kinematics=result.head.kinematics)
     accuracy, off = result.accuracy, boxminus(result.head, replace(truth, cameras=cameras))
-    groups: dict[str, list[int]] = {}
-    for i, name in enumerate(accuracy.parameters):
-        owner, _, last = name.rpartition(".")
-        if owner.endswith("T_eye_cam") or owner == "T_rbase_lbase":
-            groups.setdefault(owner, []).append(i)
-        elif last.endswith("_gain"):
-            groups[name] = [i]
     return [
         name
-        for name, rows in groups.items()
+        for name, rows in poses_and_gains(accuracy).items()
         if probability(
             np.array([off[accuracy.parameters[i]] for i in rows]),
             accuracy.covariance[np.ix_(rows, rows)],

@@ -25,7 +25,7 @@ import tyro
 from drawn_boards import CHARUCO, found_corners
 from other_heads import KINDS as JOINTS
 from other_heads import other_head
-from simulated_head import HEIGHT, WIDTH, probability, random_head
+from simulated_head import HEIGHT, WIDTH, poses_and_gains, probability, random_head
 from simulated_recording import Noise, facing, inside_image, observe
 from vergence.arrays import Array
 from vergence.calibration.calibrate import CalibrationResult, calibrate
@@ -224,14 +224,7 @@ def regions(
         for name, mounted in result.head.cameras.items()
     }
     accuracy, off = result.accuracy, boxminus(replace(result.head, cameras=cameras), truth)
-    groups: dict[str, list[int]] = {}
-    for i, name in enumerate(accuracy.parameters):
-        owner, _, last = name.rpartition(".")
-        if owner.endswith("T_eye_cam") or owner == "T_rbase_lbase":
-            groups.setdefault(owner, []).append(i)
-        elif last.endswith("_gain"):
-            groups[name] = [i]
-    for rows in groups.values():
+    for rows in poses_and_gains(accuracy).values():
         error = np.array([off[accuracy.parameters[i]] for i in rows])
         yield bool(probability(error, accuracy.covariance[np.ix_(rows, rows)]) < 0.95)
     if main_pair(truth) is not None:

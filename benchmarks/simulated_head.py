@@ -14,6 +14,7 @@ from scipy.stats import chi2
 from vergence.arrays import Array
 from vergence.geometry.camera import Camera, pinhole
 from vergence.geometry.head import R_EYE_CAM, HeadCalibration, MountedCamera, camera_pose_in_base
+from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import EYES, Kinematics, Side, pan_tilt
 from vergence.geometry.lens import COEFFICIENTS
@@ -194,6 +195,18 @@ def rough_start(head: HeadCalibration, rng: np.random.Generator) -> HeadCalibrat
     values = parameter_values(head)
     assert sum(value is None for value in values.values()) == len(POSE) * (1 + len(head.cameras))
     return boxplus(head, np.array([change(*each) for each in values.items()]))
+
+
+def poses_and_gains(accuracy: Accuracy) -> dict[str, list[int]]:
+    """Return by name which parameters make up each stated pose, and each gain."""
+    groups: dict[str, list[int]] = {}
+    for i, name in enumerate(accuracy.parameters):
+        owner, _, last = name.rpartition(".")
+        if owner.endswith("T_eye_cam") or owner == "T_rbase_lbase":
+            groups.setdefault(owner, []).append(i)
+        elif last.endswith("_gain"):
+            groups[name] = [i]
+    return groups
 
 
 def probability(error: Array, covariance: Array) -> float:

@@ -205,7 +205,7 @@ def bundle_adjust(
         fixed=fixed,
         points=points,
         T_cam_target=T_cam_target,
-        least_blocks=OWN_LEVELS if given is None else np.inf if len(given) == 1 else 0,
+        least_blocks=_least_blocks(noise, given),
         backlash=given is None,
     )
     if given is None and problem.measures_eyes:
@@ -234,6 +234,15 @@ def bundle_adjust(
         found = adjust(residuals, problem.start, levels, outlier=noise.outlier)
     assert found is not None
     return _estimate(problem, start, observations, found, levels, intrinsics or {})
+
+
+def _least_blocks(noise: NoiseModel, joint_std: Array | None) -> float:
+    """Return the least number of postures from which each kind of readings has its own level."""
+    if joint_std is not None:
+        return np.inf if len(joint_std) == 1 else 0
+    if noise.levels:  # a part of the views has the levels of all
+        return np.inf if "readings" in noise.levels else 0
+    return OWN_LEVELS
 
 
 def _levels(problem: BundleProblem, noise: NoiseModel, joint_std: Array | None) -> list[Level]:
