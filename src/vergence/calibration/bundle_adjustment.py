@@ -15,7 +15,7 @@ from scipy.linalg import block_diag, cho_solve
 
 from vergence.arrays import Array, single_blas_thread
 from vergence.calibration.backlash import BLOCK, BacklashPrior, mixture_covariance
-from vergence.calibration.bundle_findings import BundleFindings, about_one_axis
+from vergence.calibration.bundle_findings import BundleFindings
 from vergence.calibration.bundle_start import BundleProblem, bundle_problem, with_shared_errors
 from vergence.calibration.intrinsics import Intrinsics
 from vergence.calibration.moved_boards import (
@@ -31,6 +31,7 @@ from vergence.calibration.pose_errors import SmoothErrors
 from vergence.calibration.readings import PLAY, SMOOTH
 from vergence.calibration.residuals import Reprojection
 from vergence.calibration.systematic_errors import systematic_errors
+from vergence.calibration.undetermined import about_one_axis
 from vergence.errors import VergenceError
 from vergence.estimation.adjustment import Adjustment, adjust
 from vergence.estimation.linear import cholesky, eliminate

@@ -12,11 +12,11 @@ import numpy as np
 from scipy.stats import norm, t
 
 from vergence.arrays import Array
-from vergence.calibration.bundle_findings import ADVISED, spread
 from vergence.calibration.hand_eye import LEAST_MOTION_RAD
 from vergence.calibration.intrinsics import Intrinsics, jackknife_covariance, noise_covariance
 from vergence.calibration.lenses import without_poses
 from vergence.calibration.observations import Observations, camera_eyes, most_seen
+from vergence.calibration.undetermined import ADVISED, spread
 from vergence.errors import VergenceError, counted
 from vergence.findings import Finding, void, warning
 from vergence.geometry.board import corner_points

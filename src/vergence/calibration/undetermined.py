@@ -1,0 +1,215 @@
+"""What the data of a bundle adjustment do not determine."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.calibration.hand_eye import LEAST_MOTION_RAD
+from vergence.calibration.observations import most_seen
+from vergence.calibration.readings import PLAY
+from vergence.calibration.residuals import Detections
+from vergence.errors import listed
+from vergence.estimation.variables import Variables
+from vergence.findings import Finding, void, warning
+from vergence.geometry.head import parameter_names
+from vergence.geometry.kinematics import EYES
+from vergence.geometry.lens import COEFFICIENTS
+from vergence.geometry.se3 import rotvec
+
+if TYPE_CHECKING:
+    from vergence.calibration.bundle_findings import BundleFindings
+
+FEW = 6
+"""Degrees of freedom below which an estimated noise level is heavy-tailed, and the covariance
+optimistic."""
+NOISY, NOISY_RAD = 5.0, np.radians(0.2)
+"""Ratio of the noise of readings to that of all others, and noise, from which they are doubted."""
+NAMED = 0.3
+"""A direction's components of this size, relative to the largest, are named."""
+ADVISED = "by at least 0.1 rad, better 0.25"
+"""Median stated deviation of the worst axis, 20 views at 0.1 px and 0.1 degrees, board at 0.4 m:
+0.92 degrees and 2.6 mm for motion within 0.03 rad, 0.27 and 0.8 within 0.1, 0.10 and 0.3 within
+0.25."""
+SENSE = 6.0
+"""Motion, as a multiple of the noise of its mean, from which its sense is certain."""
+
+_WORDS = {f"r{axis}": f"rotation about {axis}" for axis in "xyz"}
+_WORDS |= {f"t{axis}": f"translation along {axis}" for axis in "xyz"}
+
+
+def spread(vectors: Array) -> Array:
+    """Compute the standard deviations (3,) of vectors (N, 3) along their principal axes."""
+    if len(vectors) < 3:
+        return np.zeros(3)
+    away = vectors - vectors.mean(axis=0)
+    return np.linalg.svd(away, compute_uv=False) / np.sqrt(len(vectors))
+
+
+def doubtful(of: BundleFindings) -> Iterator[Finding]:
+    """Report an estimate that must not be used.
+
+    It did not converge, or a reading moves so little before boards at rest that the sense of the
+    motion is uncertain.
+    """
+    yield from about_one_axis(of.problem.measured.detections, of.found.x)
+    if not of.found.converged:
+        sentence = (
+            "The estimate did not converge, as where no head of this description fits the data, or "
+            "the eyes turn too little to tell: check the description of the joints, the order of "
+            "their readings, the lens models (`lens`), and the size of the board; let the eyes "
+            "turn farther."
+        )
+        yield void("not-converged", sentence)
+    if of.poses_read:
+        return
+    detections, postures = of.problem.measured.detections, of.problem.readings.postures
+    posture, board = np.unique([detections.posture, detections.board], axis=1)
+    eye = postures.eye[posture]
+    _, at_rest = np.unique([eye, board], axis=1, return_inverse=True)
+    values, count = of.found.x.latent.value[posture], np.bincount(at_rest.ravel())
+    mean = [np.bincount(at_rest.ravel(), column) / count for column in values.T]
+    away = values - np.transpose(mean)[at_rest.ravel()]
+    names = of.found.x["head"].kinematics.readings
+    for e in np.unique(eye[count[at_rest.ravel()] > 1]):
+        size = np.linalg.norm(away[eye == e], axis=0)
+        columns = postures.columns[postures.eye == e][0]
+        for k, level in enumerate(of.problem.readings.level):
+            if not level.startswith(PLAY) and size[k] < SENSE * of.found.levels[level]:
+                name = names[columns[k]]
+                sentence = (
+                    f"The noise of {name} is {of.found.levels[level]:.2g} rad, and even the sense "
+                    f"of the motion is uncertain: let it turn {ADVISED}."
+                )
+                yield void("doubtful-sense", sentence, name)
+
+
+def about_one_axis(detections: Detections, x: Variables) -> Iterator[Finding]:
+    """Report eyes that turn about one axis only: their cameras may then stand anywhere along it."""
+    parameters = np.array(parameter_names(x["head"]))[x.shared["head"].free]
+    R = detections.eye_poses(x)[:, :3, :3]
+    for e, eye in enumerate(EYES):
+        cameras = np.unique(detections.camera[detections.eyes == e]).tolist()
+        names = [detections.cameras[c] for c in cameras]
+        if not any(f"{name}.T_eye_cam.tx" in parameters for name in names):
+            continue
+        turned = []
+        for c in cameras:
+            mine = np.flatnonzero(detections.camera == c)
+            mine = mine[most_seen(detections.board[mine], np.ones(len(mine), bool))]
+            turned.append(spread(rotvec(np.swapaxes(R[mine[:1]], 1, 2) @ R[mine])))
+        first, second, _ = max(turned, key=lambda each: each[1])
+        if second < LEAST_MOTION_RAD:
+            where = f"{names[0]}.T_eye_cam"
+            sentence = (
+                f"{where} is not observable: before a board at rest the {eye} eye turns by "
+                f"{first:.2g} rad about one axis and by {second:.2g} rad about another; turn it "
+                f"{ADVISED} about two axes."
+            )
+            yield void("one-axis", sentence, where)
+
+
+def unobservable(of: BundleFindings) -> Iterator[Finding]:
+    """Name the parameters that the data do not determine, and the motion that is missing."""
+    parameters = parameter_names(of.found.x["head"])
+    cameras = of.problem.measured.detections.cameras
+    names = [n.removeprefix("camera.").rpartition(".") for n in parameters]
+    owner = [before or after for before, _, after in names]
+    word = [_WORDS.get(after, after) if before else "" for before, _, after in names]
+    # Numerator and denominator of a rational lens nearly cancel; what that leaves open is in the
+    # covariance, and in the map of the lens.
+    cancelling = {
+        f"{camera}.{name}"
+        for camera in cameras
+        if f"{camera}.k6" in parameters
+        for name in COEFFICIENTS["rational"]
+    }
+    for what, rows in (
+        ("not observable, and left at the start", of.found.observability.fixed),
+        ("poorly observable", of.found.observability.weak),
+    ):
+        merged: dict[tuple[str, ...], set[int]] = {}
+        for row in _sparse(rows):
+            large = np.flatnonzero(np.abs(row) > NAMED * np.abs(row).max()).tolist()
+            if all(parameters[i] in cancelling for i in large):
+                continue
+            merged.setdefault(tuple(dict.fromkeys(owner[i] for i in large)), set()).update(large)
+        for owners, large in merged.items():
+            parts = {o: [word[i] for i in sorted(large) if owner[i] == o] for o in owners}
+            subject = " together with ".join(f"{o} {listed(parts[o])}".strip() for o in owners)
+            sentence = f"{subject}: {what}; {_missing_motion(of)}."
+            lost = of.found.converged and what.startswith("not")
+            lost = lost and any(owner.endswith("T_eye_cam") for owner in owners)
+            make = void if lost else warning
+            yield make("unobservable", sentence, ", ".join(owners))
+
+
+def _sparse(rows: Array) -> Array:
+    """Reduce a basis to one of the same space with the zeros that pivoted elimination gives."""
+    rows = rows.copy()
+    for k in range(len(rows)):
+        i, j = np.unravel_index(np.abs(rows[k:]).argmax(), rows[k:].shape)
+        rows[[k, k + i]] = rows[[k + i, k]]
+        rows[k] /= rows[k, j]
+        others = np.arange(len(rows)) != k
+        rows[others] -= np.outer(rows[others, j], rows[k])
+    return rows
+
+
+def _missing_motion(of: BundleFindings) -> str:
+    """Describe what to record."""
+    board = of.problem.measured.detections.board
+    boards = [set(board[of.eyes == eye]) for eye in np.unique(of.eyes)]
+    if not set.intersection(*boards):
+        return "no board stands where both eyes see it; show the same board to both"
+    return (
+        f"turn every joint of each eye {ADVISED}, before boards at rest at several distances and "
+        "slants"
+    )
+
+
+def noise(of: BundleFindings) -> Iterator[Finding]:
+    """Name noise levels that were assumed, or rest on few readings."""
+    for level in of.reading_levels:
+        what = f"the measured {level.name} of the eyes" if of.poses_read else "the joint readings"
+        unit = "m" if level.name == "translations" else "rad"
+        left = of.found.redundancy[level.name]
+        if of.found.assumed[level.name]:
+            sentence = (
+                f"The noise of {what} cannot be estimated from these views; "
+                f"{of.found.levels[level.name]:g} {unit} was assumed: let the eyes look at each "
+                "board from several angles."
+            )
+            yield warning("noise-assumed", sentence, what)
+        elif not level.given and left < FEW:
+            sentence = (
+                f"The noise of {what} rests on {left:.0f} readings more than it takes to fit them: "
+                "the stated accuracy is rough; record more views."
+            )
+            yield warning("noise-roughly-known", sentence, what)
+
+
+def noisy_readings(of: BundleFindings) -> Iterator[Finding]:
+    """Report readings that are far noisier than all others, relative to their joints.
+
+    Joints in another order than described turn like noise: by the square of the angles.
+    """
+    if of.poses_read or len(of.reading_levels) < 2:
+        return
+    kinematics, postures = of.found.x["head"].kinematics, of.problem.readings.postures
+    columns = [np.unique(postures.columns[:, list(level.latent)]) for level in of.reading_levels]
+    noise = np.array([of.found.levels[level.name] for level in of.reading_levels])
+    noise *= [kinematics.gear_ratios[each].max() for each in columns]
+    worst = int(noise.argmax())
+    others = np.delete(noise, worst).max()
+    if noise[worst] > max(NOISY * others, NOISY_RAD):
+        names = listed([kinematics.readings[k] for k in columns[worst]])
+        sentence = (
+            f"The noise of {names} is {np.degrees(noise[worst]):.2g} degrees of a joint, that of "
+            f"other readings {np.degrees(others):.2g} at most: check the encoder, and in "
+            "`kinematics` the order of the joints of each eye and their axes."
+        )
+        yield warning("noisy-readings", sentence, names)
