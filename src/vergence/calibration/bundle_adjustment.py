@@ -15,7 +15,7 @@ from scipy.linalg import block_diag, cho_solve
 
 from vergence.arrays import Array, single_blas_thread
 from vergence.calibration.backlash import BLOCK, BacklashPrior, mixture_covariance
-from vergence.calibration.bundle_findings import BundleFindings
+from vergence.calibration.bundle_findings import bundle_findings
 from vergence.calibration.bundle_start import BundleProblem, bundle_problem, with_shared_errors
 from vergence.calibration.intrinsics import Intrinsics
 from vergence.calibration.moved_boards import (
@@ -27,6 +27,7 @@ from vergence.calibration.moved_boards import (
     moved_boards,
 )
 from vergence.calibration.observations import Observations, PoseObservations
+from vergence.calibration.outcome import Outcome
 from vergence.calibration.pose_errors import SmoothErrors
 from vergence.calibration.readings import PLAY, SMOOTH
 from vergence.calibration.residuals import Reprojection
@@ -322,7 +323,7 @@ def _estimate(
             rms = np.sqrt(np.mean(scales**2)) if len(scales) else 1.0
             camera_px[name] = pixel_px * float(rms)
     backlash = {} if prior is None else _backlash(problem, x, prior)
-    findings = BundleFindings(observations, problem, found, levels, systematic, scale_std, backlash)
+    outcome = Outcome(observations, problem, found, levels, systematic, scale_std, backlash)
     joint_std = _joint_std(problem, found)
     smooth = next((each for each in problem.priors if isinstance(each, SmoothErrors)), None)
     head = replace(x["head"], neck=start.neck, pose_errors={})
@@ -347,8 +348,8 @@ def _estimate(
         board_scale=x["board_scale"],
         T_base_eye=T_base_eye,
         residuals_px=_residuals(problem, found, len(T_base_eye)),
-        left_out=findings.left_out(),
-        findings=findings.all(),
+        left_out=outcome.left_out(),
+        findings=bundle_findings(outcome),
         levels=found.levels,
         backlash_rad=backlash,
     )

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Iterator
 
 import numpy as np
 
 from vergence.calibration import undetermined
 from vergence.calibration.backlash import BLOCK
-from vergence.calibration.bundle_start import BundleProblem
 from vergence.calibration.moved_boards import HeldBoards
 from vergence.calibration.observations import Observations, PoseObservations
+from vergence.calibration.outcome import MOST_WRONG, Outcome
 from vergence.calibration.priors import BoardSize
-from vergence.calibration.readings import PLAY, Readings
+from vergence.calibration.readings import PLAY
 from vergence.calibration.residuals import Reprojection
 from vergence.errors import counted, listed
-from vergence.estimation.adjustment import Adjustment
-from vergence.estimation.noise import Level
 from vergence.findings import Finding, by_severity, note, warning
 from vergence.geometry.kinematics import EYES
 
@@ -35,114 +31,32 @@ LOST = 0.02
 """Share of corners without weight that is noted; good ones lose it once in 3000."""
 WRONG_VIEW = "wrong-view"
 """Code of the findings on views that were left out."""
-MOST_WRONG = 0.15
-"""Share of views, or of corners, that may be wrong beside a good rest."""
 MOVED_MM = 0.5
 """Motion of a held board [mm] from which its view is named."""
 MOST_NAMED = 3
 """Number of causes of wrong views that are described."""
 
 
-@dataclass(frozen=True, eq=False)
-class Outliers:
-    """What contradicts an estimate."""
-
-    corners: np.ndarray
-    """(M, K) of bool: single corners of detections."""
-    images: np.ndarray
-    """(C, V) of bool: images with most of their corners."""
-    readings: np.ndarray
-    """(B, n) of bool: readings of postures."""
-    few: bool
-    """Whether the views concerned are so few that they leave all later figures."""
-
-
-@dataclass(frozen=True, eq=False)
-class BundleFindings:
-    """A bundle adjustment, as findings look at it."""
-
-    observations: Observations | PoseObservations
-    problem: BundleProblem
-    found: Adjustment
-    levels: Sequence[Level]
-    systematic_px: Mapping[str, float]
-    scale_std: float
-    """Of the size of the board, relative to the stated one."""
-    backlash_rad: Mapping[str, tuple[float, float]]
-    """See BundleEstimate."""
-
-    def left_out(self) -> dict[str, np.ndarray]:
-        """Select by camera the corners (V, K) that must not take part in later figures."""
-        outliers, detections = self.outliers, self.problem.measured.detections
-        V, K = outliers.images.shape[1], outliers.corners.shape[1]
-        masks = {name: np.zeros((V, K), bool) for name in detections.cameras}
-        wrong = outliers.images.copy()
-        of_reading = np.any(outliers.readings[detections.posture], axis=1)
-        wrong[detections.camera[of_reading], detections.views[of_reading]] = True
-        for c, mask in enumerate(masks.values()):
-            mine = detections.of_camera(c)
-            mask[detections.views[mine]] = outliers.corners[mine]
-            mask[wrong[c] & outliers.few] = True
-        return masks
-
-    def all(self) -> tuple[Finding, ...]:
-        """List everything that the reader of a result must know, the most severe first."""
-        parts = (
-            undetermined.doubtful(self),
-            _wrong(self),
-            _left_out(self),
-            _moved_boards(self),
-            undetermined.unobservable(self),
-            undetermined.noise(self),
-            undetermined.noisy_readings(self),
-            _lost_corners(self),
-            _backlash(self),
-            _apart_in_time(self),
-            _systematic(self),
-            _board_size(self),
-        )
-        return by_severity(each for part in parts for each in part)
-
-    @property
-    def eyes(self) -> np.ndarray:
-        """(M,) the eye of each detection."""
-        return self.problem.measured.detections.eyes
-
-    @cached_property
-    def outliers(self) -> Outliers:
-        """Collect what contradicts the estimate."""
-        measured, weights = self.problem.measured, self.found.linear.weights
-        detections = measured.detections
-        corners, readings = measured.seen & (weights[0] < 1), weights[1] < 1
-        if self.readings.seen is not None:
-            readings = readings & self.readings.seen
-        images = self.problem.contradicting.copy()
-        lost = corners.sum(axis=1) > measured.seen.sum(axis=1) / 2
-        images[detections.camera[lost], detections.views[lost]] = True
-        of_readings = self.problem.readings.postures.view[readings.any(axis=1)]
-        views = np.union1d(np.flatnonzero(images.any(axis=0)), of_readings)
-        few = len(views) <= MOST_WRONG * images.shape[1]
-        return Outliers(corners & ~lost[:, None], images, readings, few)
-
-    @property
-    def readings(self) -> Readings:
-        """Return the readings as they follow the estimate."""
-        readings = self.found.residuals[1]
-        assert isinstance(readings, Readings)
-        return readings
-
-    @property
-    def reading_levels(self) -> list[Level]:
-        """List the noise levels of the readings."""
-        return [level for level in self.levels if level.latent and PLAY not in level.name]
-
-    @property
-    def poses_read(self) -> bool:
-        """Whether poses of the eyes were measured instead of angles."""
-        return self.problem.readings.postures.T_base_eye_read is not None
+def bundle_findings(of: Outcome) -> tuple[Finding, ...]:
+    """List everything that the reader of a result must know, the most severe first."""
+    parts = (
+        undetermined.doubtful(of),
+        _wrong(of),
+        _left_out(of),
+        _moved_boards(of),
+        undetermined.unobservable(of),
+        undetermined.noise(of),
+        undetermined.noisy_readings(of),
+        _lost_corners(of),
+        _backlash(of),
+        _apart_in_time(of),
+        _systematic(of),
+        _board_size(of),
+    )
+    return by_severity(each for part in parts for each in part)
 
 
-def _left_out(of: BundleFindings) -> Iterator[Finding]:
+def _left_out(of: Outcome) -> Iterator[Finding]:
     """Name cameras without boards, and views that are of no use."""
     detections, seen = of.problem.measured.detections, of.observations
     images = seen.T_cam_target if isinstance(seen, PoseObservations) else seen.corners
@@ -159,7 +73,7 @@ def _left_out(of: BundleFindings) -> Iterator[Finding]:
         yield severity("few-corners", sentence, where)
 
 
-def _wrong(of: BundleFindings) -> Iterator[Finding]:
+def _wrong(of: Outcome) -> Iterator[Finding]:
     """Name the views whose images contradict others or whose readings lost their weight."""
     wrong, names = of.outliers, of.found.x["head"].kinematics.readings
     postures = of.readings.postures
@@ -199,7 +113,7 @@ def _wrong(of: BundleFindings) -> Iterator[Finding]:
         yield severity(WRONG_VIEW, sentence, where)
 
 
-def _moved_boards(of: BundleFindings) -> Iterator[Finding]:
+def _moved_boards(of: Outcome) -> Iterator[Finding]:
     """Name the views in which a board that a hand holds moved between the images of the eyes."""
     for residual, errors in zip(of.found.residuals, of.found.errors, strict=True):
         if not isinstance(residual, HeldBoards):
@@ -223,7 +137,7 @@ def _moved_boards(of: BundleFindings) -> Iterator[Finding]:
             yield note("board-moved", sentence, where)
 
 
-def _lost_corners(of: BundleFindings) -> Iterator[Finding]:
+def _lost_corners(of: Outcome) -> Iterator[Finding]:
     """Report corners of other views that lost their weight, and the view with the most of them."""
     measured = of.problem.measured
     lost, views = of.outliers.corners.sum(axis=1), measured.detections.views
@@ -241,7 +155,7 @@ def _lost_corners(of: BundleFindings) -> Iterator[Finding]:
     yield severity("outlying-corners", sentence, where)
 
 
-def _backlash(of: BundleFindings) -> Iterator[Finding]:
+def _backlash(of: Outcome) -> Iterator[Finding]:
     """Note backlash of joints, and play between joints that share a reading."""
     sure = [
         f"{name} {np.degrees(abs(width)):.2g} +- {np.degrees(std):.1g} degrees"
@@ -266,7 +180,7 @@ def _backlash(of: BundleFindings) -> Iterator[Finding]:
             yield note("play", sentence)
 
 
-def _apart_in_time(of: BundleFindings) -> Iterator[Finding]:
+def _apart_in_time(of: Outcome) -> Iterator[Finding]:
     """Report that one time offset does not fit the images of both eyes.
 
     The errors of the readings are then proportional to the eye's velocity, and may have passed for
@@ -304,7 +218,7 @@ def _apart_in_time(of: BundleFindings) -> Iterator[Finding]:
     yield warning("eyes-apart-in-time", sentence)
 
 
-def _systematic(of: BundleFindings) -> Iterator[Finding]:
+def _systematic(of: Outcome) -> Iterator[Finding]:
     """Report the camera with the largest systematic error; the boards' poses may pass it on."""
     if not isinstance(of.problem.measured, Reprojection):
         return
@@ -320,7 +234,7 @@ def _systematic(of: BundleFindings) -> Iterator[Finding]:
         yield warning("lens-misfit", sentence, worst)
 
 
-def _board_size(of: BundleFindings) -> Iterator[Finding]:
+def _board_size(of: Outcome) -> Iterator[Finding]:
     """Note what measured poses of the eyes alone say of the board's size."""
     prior = next((each for each in of.problem.priors if isinstance(each, BoardSize)), None)
     if prior is None or not isinstance(of.observations, Observations):

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.hand_eye import LEAST_MOTION_RAD
 from vergence.calibration.observations import most_seen
+from vergence.calibration.outcome import Outcome
 from vergence.calibration.readings import PLAY
 from vergence.calibration.residuals import Detections
 from vergence.errors import listed
@@ -19,9 +19,6 @@ from vergence.geometry.head import parameter_names
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.lens import COEFFICIENTS
 from vergence.geometry.se3 import rotvec
-
-if TYPE_CHECKING:
-    from vergence.calibration.bundle_findings import BundleFindings
 
 FEW = 6
 """Degrees of freedom below which an estimated noise level is heavy-tailed, and the covariance
@@ -49,7 +46,7 @@ def spread(vectors: Array) -> Array:
     return np.linalg.svd(away, compute_uv=False) / np.sqrt(len(vectors))
 
 
-def doubtful(of: BundleFindings) -> Iterator[Finding]:
+def doubtful(of: Outcome) -> Iterator[Finding]:
     """Report an estimate that must not be used.
 
     It did not converge, or a reading moves so little before boards at rest that the sense of the
@@ -112,7 +109,7 @@ def about_one_axis(detections: Detections, x: Variables) -> Iterator[Finding]:
             yield void("one-axis", sentence, where)
 
 
-def unobservable(of: BundleFindings) -> Iterator[Finding]:
+def unobservable(of: Outcome) -> Iterator[Finding]:
     """Name the parameters that the data do not determine, and the motion that is missing."""
     parameters = parameter_names(of.found.x["head"])
     cameras = of.problem.measured.detections.cameras
@@ -159,7 +156,7 @@ def _sparse(rows: Array) -> Array:
     return rows
 
 
-def _missing_motion(of: BundleFindings) -> str:
+def _missing_motion(of: Outcome) -> str:
     """Describe what to record."""
     board = of.problem.measured.detections.board
     boards = [set(board[of.eyes == eye]) for eye in np.unique(of.eyes)]
@@ -171,7 +168,7 @@ def _missing_motion(of: BundleFindings) -> str:
     )
 
 
-def noise(of: BundleFindings) -> Iterator[Finding]:
+def noise(of: Outcome) -> Iterator[Finding]:
     """Name noise levels that were assumed, or rest on few readings."""
     for level in of.reading_levels:
         what = f"the measured {level.name} of the eyes" if of.poses_read else "the joint readings"
@@ -192,7 +189,7 @@ def noise(of: BundleFindings) -> Iterator[Finding]:
             yield warning("noise-roughly-known", sentence, what)
 
 
-def noisy_readings(of: BundleFindings) -> Iterator[Finding]:
+def noisy_readings(of: Outcome) -> Iterator[Finding]:
     """Report readings that are far noisier than all others, relative to their joints.
 
     Joints in another order than described turn like noise: by the square of the angles.
