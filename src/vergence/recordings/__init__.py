@@ -1,0 +1,1 @@
+"""Recordings of robots by other programs, and datasets made of them."""

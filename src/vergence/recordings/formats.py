@@ -1,0 +1,33 @@
+"""Formats of recordings, and opening a recording of any of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from vergence.errors import VergenceError
+from vergence.recordings import ros
+from vergence.recordings.recording import Recording
+
+FORMATS = (ros,)
+"""Modules with `recognise` and `open_recording`, asked in this order."""
+
+
+@contextmanager
+def open_recording(path: Path | str) -> Iterator[Recording]:
+    """Open a recording of any known format for a `with` block.
+
+    VergenceError if it is missing, damaged, or of an unknown format.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise VergenceError(f"There is no recording {path}.")
+    for format in FORMATS:
+        if format.recognise(path):
+            with format.open_recording(path) as recording:
+                yield recording
+            return
+    raise VergenceError(
+        f"{path} is not a recording that can be read: a ROS 1 .bag, a ROS 2 folder, .db3 or .mcap."
+    )

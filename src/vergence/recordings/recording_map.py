@@ -1,0 +1,127 @@
+"""What channels of a recording mean: the description of a dataset, with the source of each part.
+
+A map is a TOML file with the fields of dataset.json (docs/dataset.md). A camera also names its
+channel of images, and the column of a joint is the joint's name in the recording, or
+`channel:name` where two channels have a joint of that name.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import field
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass
+
+from vergence.data.description import (
+    DatasetCamera,
+    DatasetJoint,
+    DatasetReading,
+    Description,
+    EyeJoint,
+)
+from vergence.files import read_parsed, validated
+from vergence.geometry.board import Board
+from vergence.geometry.camera import Camera
+from vergence.geometry.kinematics import Side
+
+_STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
+MAP = "map.toml"
+MAX_MAP_BYTES = 2**18
+"""Largest map [bytes]; one of 64 cameras has 20 kB."""
+Span = tuple[float, float]
+"""Begin and end [s] after the first image of the recording."""
+
+
+@dataclass(frozen=True, eq=False, config=_STRICT)
+class CameraSource:
+    """A camera of the head, and where its images are."""
+
+    eye: Side
+    images: str
+    """Channel with its images."""
+    lens: str | None = None
+    """Channel with its lens; None: unknown."""
+
+
+@dataclass(frozen=True, eq=False, config=_STRICT)
+class PoseSource:
+    """The measured pose of an eye in its base."""
+
+    base: str
+    """Frame that stays where it is in the head."""
+    eye: str
+    """Frame that turns with the eye."""
+
+
+@dataclass(frozen=True, eq=False, config=_STRICT)
+class FrameChoice:
+    """Which frames are taken; None: found in the recording."""
+
+    rest: tuple[Span, ...] | None = None
+    """Spans in which head and board stand still; one frame is taken of each."""
+    moving: tuple[Span, ...] | None = None
+    """Spans in which the eyes move and the board stands still."""
+    placements: tuple[Span, ...] | None = None
+    """Spans in each of which the board stands still in frame head, whatever the eyes do."""
+
+
+@dataclass(frozen=True, eq=False, config=_STRICT)
+class RecordingMap:
+    """Content of map.toml."""
+
+    cameras: dict[str, CameraSource]
+    board: Annotated[Board, Field(discriminator="kind")]
+    joints: dict[str, DatasetJoint] = field(default_factory=dict)
+    """As in dataset.json; `column` is the name in the recording."""
+    kinematics: dict[Side, tuple[EyeJoint, ...]] | None = None
+    readings: dict[str, DatasetReading] = field(default_factory=dict)
+    poses: dict[Side, PoseSource] = field(default_factory=dict)
+    """Measured poses of the eyes, in place of joints."""
+    frames: FrameChoice = field(default_factory=FrameChoice)
+    stamps: Literal["header", "received"] = "header"
+    """Which times count: those in the messages, or those of the recorder."""
+    max_gap_s: Annotated[float, Field(gt=0, le=10)] = 0.1
+    """Longest time between two readings between which one is interpolated [s]."""
+    note: str = ""
+
+
+def load_map(path: Path) -> RecordingMap:
+    """Read a map; VergenceError if it is missing or invalid."""
+    return read_parsed(
+        path,
+        "a map of a recording",
+        lambda content: validated(content, RecordingMap),
+        tomllib.loads,
+        most_bytes=MAX_MAP_BYTES,
+    )
+
+
+def describe(
+    mapped: RecordingMap, sizes: Mapping[str, tuple[int, int]], lenses: Mapping[str, Camera]
+) -> Description:
+    """Describe the dataset that a map makes of a recording.
+
+    `sizes` [px] and `lenses` are by channel. ValueError if the parts contradict each other.
+    """
+    cameras = {
+        name: DatasetCamera(
+            eye=source.eye,
+            width=sizes[source.images][0],
+            height=sizes[source.images][1],
+            intrinsics=lenses.get(source.lens or ""),
+        )
+        for name, source in mapped.cameras.items()
+    }
+    return Description(
+        cameras=cameras,
+        board=mapped.board,
+        joints=mapped.joints,
+        kinematics=mapped.kinematics,
+        readings=mapped.readings,
+        eye_motion="poses" if mapped.poses else "pan-tilt",
+        note=mapped.note,
+    )

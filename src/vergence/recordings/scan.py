@@ -1,0 +1,136 @@
+"""Read a recording once: all joint readings, and of each image its time and how much it changed."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from typing import cast
+
+import cv2
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.geometry.camera import Camera
+from vergence.progress import Progress, silent
+from vergence.recordings.recording import FramePose, JointSample, Recording
+
+THUMBNAIL_PX = 160
+"""Width [px] of the small images that are compared; averaging suppresses the pixels' noise."""
+
+
+@dataclass(frozen=True, eq=False)
+class ImageTrack:
+    """Images of one channel, without their pixels."""
+
+    stamp_ns: np.ndarray
+    """(N,) of int: when they were taken, in the order of the recording."""
+    received_ns: np.ndarray
+    """(N,) of int: when they were recorded, by which `Recording.read` finds them again."""
+    change: Array
+    """(N,) root mean square difference of small grey images from the image before [grey levels];
+    NaN for the first."""
+    size: tuple[int, int]
+    """Width and height [px]."""
+
+
+@dataclass(frozen=True, eq=False)
+class JointTrack:
+    """Readings of one joint."""
+
+    stamp_ns: np.ndarray
+    """(S,) of int, in the order of the recording."""
+    values: Array
+    """(S,) in the unit of the recording."""
+
+
+@dataclass(frozen=True, eq=False)
+class PoseTrack:
+    """Poses of one frame in its parent."""
+
+    stamp_ns: np.ndarray
+    """(S,) of int."""
+    T_parent_child: Array
+    """(S, 4, 4) [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """All of a recording but the pixels of its images."""
+
+    images: Mapping[str, ImageTrack]
+    """By channel."""
+    joints: Mapping[tuple[str, str], JointTrack]
+    """By channel and name of the joint."""
+    lenses: Mapping[str, Camera]
+    """By channel: the last one."""
+    poses: Mapping[tuple[str, str], PoseTrack]
+    """By parent and child."""
+
+
+def scan(
+    recording: Recording, channels: Collection[str] | None = None, *, progress: Progress = silent
+) -> Scan:
+    """Read channels of a recording, None: all that can be used, in one pass.
+
+    VergenceError if the recording is damaged.
+    """
+    wanted = {
+        name: channel
+        for name, channel in recording.channels.items()
+        if channel.kind != "other" and (channels is None or name in channels)
+    }
+    total = sum(channel.count for channel in wanted.values())
+    images: dict[str, list[tuple[int, int, float]]] = {}
+    sizes: dict[str, tuple[int, int]] = {}
+    before: dict[str, np.ndarray] = {}
+    joints: dict[tuple[str, str], list[tuple[int, float]]] = {}
+    lenses: dict[str, Camera] = {}
+    poses: dict[tuple[str, str], list[tuple[int, Array]]] = {}
+    progress("reading the recording", 0, total)
+    for done, message in enumerate(recording.read(list(wanted), None, None), 1):
+        content, stamp = message.decode(), message.stamp_ns
+        if isinstance(content, JointSample):
+            for name, value in zip(content.names, content.values.tolist(), strict=True):
+                joints.setdefault((message.channel, name), []).append((stamp, value))
+        elif isinstance(content, Camera):
+            lenses[message.channel] = content
+        elif isinstance(content, np.ndarray):
+            small = _thumbnail(content)
+            last = before.get(message.channel)
+            comparable = last is not None and last.shape == small.shape
+            change = float(np.sqrt(np.mean((small - last) ** 2))) if comparable else np.nan
+            before[message.channel] = small
+            sizes[message.channel] = content.shape[1], content.shape[0]
+            images.setdefault(message.channel, []).append((stamp, message.received_ns, change))
+        else:
+            for each in cast(tuple[FramePose, ...], content):
+                key = each.parent, each.child
+                poses.setdefault(key, []).append((stamp, each.T_parent_child))
+        if done % 20 == 0 or done == total:
+            progress("reading the recording", done, total)
+    return Scan(
+        images={name: _image_track(rows, sizes[name]) for name, rows in images.items()},
+        joints={
+            name: JointTrack(np.array([t for t, _ in rows]), np.array([v for _, v in rows]))
+            for name, rows in joints.items()
+        },
+        lenses=lenses,
+        poses={
+            name: PoseTrack(np.array([t for t, _ in rows]), np.array([T for _, T in rows]))
+            for name, rows in poses.items()
+        },
+    )
+
+
+def _thumbnail(image: np.ndarray) -> np.ndarray:
+    """Shrink an image to THUMBNAIL_PX, grey, of float32 [grey levels]."""
+    width = min(THUMBNAIL_PX, image.shape[1])
+    height = max(1, round(image.shape[0] * width / image.shape[1]))
+    small = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+    grey = small if small.ndim == 2 else cv2.cvtColor(small, cv2.COLOR_RGB2GRAY)
+    return grey.astype(np.float32) / (256 if grey.dtype == np.uint16 else 1)
+
+
+def _image_track(rows: list[tuple[int, int, float]], size: tuple[int, int]) -> ImageTrack:
+    stamps, received, changes = zip(*rows, strict=True)
+    return ImageTrack(np.array(stamps), np.array(received), np.array(changes), size)
