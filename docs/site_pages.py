@@ -24,6 +24,7 @@ DOCUMENTS = {
     "CONTRIBUTING.md": "contributing.md",
     "benchmarks/README.md": "benchmarks.md",
     "models/cbi_head/README.md": "model.md",
+    "models/shared_tilt_head/README.md": "model_shared_tilt.md",
 }
 """Documents outside docs/, and the pages of the site that they become."""
 REFERENCE = {
@@ -49,7 +50,10 @@ CONTENTS = {
         *(name.removesuffix(".md") for name in REFERENCE),
         *("dataset", "calibration_file", "conventions", "equations", "method", "evidence"),
     ),
-    "Project": ("architecture", "security", "model", "benchmarks", "contributing", "changelog"),
+    "Project": (
+        *("architecture", "security", "model", "model_shared_tilt", "benchmarks"),
+        *("contributing", "changelog"),
+    ),
 }
 """The site's table of contents; Sphinx warns of a page that is missing from it."""
 PICTURES = (".png", ".svg")
@@ -153,7 +157,7 @@ def _directive(kind: str, argument: str, *options: str) -> list[str]:
 
 def page_of(path: str) -> str | None:
     """Return what a file of the repository is called on the site; None: it is not there."""
-    if path == "models/cbi_head":
+    if f"{path}/README.md" in DOCUMENTS:
         path += "/README.md"
     if path in DOCUMENTS:
         return DOCUMENTS[path]

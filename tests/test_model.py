@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-MODEL = Path(__file__).parents[1] / "models" / "cbi_head"
+MODELS = Path(__file__).parents[1] / "models"
+MODEL = MODELS / "cbi_head"
 JOINT_RANGE_DEG = {
     "neck_pitch": (-30, 40),
     "neck_roll": (-30, 30),
@@ -48,9 +49,15 @@ def redness(image: NDArray) -> NDArray[np.float64]:
 SCENES = ("scene.xml", "scene_sparse.xml", "scene_moving.xml")
 
 
-@pytest.mark.parametrize("file", ["cbi_head.xml", "scene_moving.xml"])
+@pytest.mark.parametrize(
+    "file",
+    [
+        *("cbi_head/cbi_head.xml", "cbi_head/scene_moving.xml"),
+        *("shared_tilt_head/shared_tilt_head.xml", "shared_tilt_head/scene.xml"),
+    ],
+)
 def test_random_control_raises_no_warning(file: str):
-    model = mujoco.MjModel.from_xml_path(str(MODEL / file))
+    model = mujoco.MjModel.from_xml_path(str(MODELS / file))
     data = mujoco.MjData(model)
     rng = np.random.default_rng(0)
     low, high = model.actuator_ctrlrange.T
@@ -150,3 +157,18 @@ def test_textures_and_meshes_are_made_by_their_scripts():
         text = (MODEL / "assets" / f"{name}.obj").read_text()
         assert text.count("\nv ") == meshes[name]().vertices[..., 0].size
         assert text == meshes[name]().obj(closed=closed)
+
+
+def test_the_motors_of_the_other_head_turn_both_eyes_alike_and_towards_each_other():
+    path = MODELS / "shared_tilt_head/shared_tilt_head.xml"
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
+    wanted = {"eyes_tilt": 0.2, "version": 0.1, "vergence": 0.3, "neck_yaw": -0.4}
+    for name, angle in wanted.items():
+        data.actuator(name).ctrl[0] = angle
+    mujoco.mj_step(model, data, 1500)
+    for name, angle in wanted.items():
+        assert data.sensor(f"{name}_pos").data[0] == pytest.approx(angle, abs=1e-3), name
+    assert data.joint("left_pan").qpos[0] == pytest.approx(0.1 - 0.15, abs=1e-3)
+    assert data.joint("right_pan").qpos[0] == pytest.approx(0.1 + 0.15, abs=1e-3)

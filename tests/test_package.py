@@ -24,8 +24,8 @@ def test_the_wheel_carries_model_profiles_types_and_version(tmp_path):
     assert done.returncode == 0, done.stderr
     (wheel,) = tmp_path.glob("vergence-*.whl")
     names = set(zipfile.ZipFile(wheel).namelist())
-    scene = "vergence/models/cbi_head/scene.xml"
+    scenes = {f"vergence/models/{name}/scene.xml" for name in ("cbi_head", "shared_tilt_head")}
     assets = {f"vergence/{p.relative_to(ROOT)}" for p in (ROOT / "models").rglob("assets/*.png")}
     profiles = {f"vergence/twin/profiles/{name}.toml" for name in shipped()}
-    assert {scene, *assets, *profiles, "vergence/py.typed"} <= names
+    assert {*scenes, *assets, *profiles, "vergence/py.typed"} <= names
     assert wheel.name.startswith(f"vergence-{vergence.__version__}-")
