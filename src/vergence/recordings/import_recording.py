@@ -48,7 +48,7 @@ def import_recording(
     """
     check_new(Path(out))
     with open_recording(path) as recording:
-        channels = _channels(recording, mapped)
+        channels = needed_channels(recording, mapped)
         scanned = scan(recording, channels, progress=progress)
         sizes = {name: track.size for name, track in scanned.images.items()}
         description = describe(mapped, sizes, scanned.lenses)
@@ -74,7 +74,7 @@ def import_recording(
     return ImportedRecording(len(placement), int(chosen.moving.sum()), len(np.unique(placement)))
 
 
-def _channels(recording: Recording, mapped: RecordingMap) -> list[str]:
+def needed_channels(recording: Recording, mapped: RecordingMap) -> list[str]:
     """List the channels that a map needs; VergenceError for one that is missing."""
     joints = [name for name, each in recording.channels.items() if each.kind == "joints"]
     poses = [name for name, each in recording.channels.items() if each.kind == "poses"]

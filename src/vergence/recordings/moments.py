@@ -55,16 +55,24 @@ def find_moments(scanned: Scan, mapped: RecordingMap, description: Description) 
         images[name][row] = np.arange(len(at))
         shown = images[name] >= 0
         change[name] = np.where(shown, of_camera[name].change[images[name]], np.nan)
-    read = {name: joint_track(scanned, joint.column) for name, joint in description.sources.items()}
-    angles = {}
-    for name, joint in description.sources.items():
-        values = interpolate(read[name], time_ns, max_gap_s=mapped.max_gap_s) * joint.sign
-        angles[name] = np.radians(values) if joint.unit == "deg" else values
+    angles = readings_at(scanned, mapped, description, time_ns)
     zero = np.zeros(len(time_ns))
     readings = description.head_kinematics.readings
     eye_angles = np.stack([angles.get(name, zero) for name in readings], axis=-1)
     neck_angles = np.stack([angles.get(name, zero) for name in NECK_JOINTS], axis=-1)
     return Moments(time_ns, images, change, eye_angles, neck_angles)
+
+
+def readings_at(
+    scanned: Scan, mapped: RecordingMap, description: Description, at_ns: np.ndarray
+) -> dict[str, Array]:
+    """Interpolate the readings by name (N,) [rad] at times (N,) [ns]; NaN where not known."""
+    angles = {}
+    for name, joint in description.sources.items():
+        track = joint_track(scanned, joint.column)
+        values = interpolate(track, at_ns, max_gap_s=mapped.max_gap_s) * joint.sign
+        angles[name] = np.radians(values) if joint.unit == "deg" else values
+    return angles
 
 
 def joint_track(scanned: Scan, column: str) -> JointTrack:
