@@ -1,5 +1,6 @@
 """URDF: it moves as the head does, read by its specification."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
@@ -11,6 +12,7 @@ from hypothesis import strategies as st
 
 from simulated_head import unskewed_head
 from vergence.errors import VergenceError
+from vergence.gaze.commands import joint_limits
 from vergence.geometry.head import base_pose_in_body, camera_pose_in_base
 from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.joints import Joint
@@ -18,6 +20,7 @@ from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics
 from vergence.geometry.neck import NECK_JOINTS, Neck, head_pose
 from vergence.geometry.se3 import inverse, pose, rotation, rotvec
 from vergence.interchange import urdf
+from vergence.interchange.formats import export_head
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -65,6 +68,73 @@ def test_the_urdf_moves_as_the_head_does(seed, tmp_path_factory):
         )
         wanted = T_body_eye_base @ camera_pose_in_base(head, name, eyes)
         np.testing.assert_allclose(tree.T_root(f"{name}_optical_frame", angles), wanted, atol=1e-12)
+
+
+def many_joints(seed: int) -> Kinematics:
+    """Make eyes that share a tilt, by version and vergence, behind gears, with a roll."""
+    rng = np.random.default_rng(seed)
+    turn = rotation(rng.normal(0, 0.3, 3))
+    eyes = {
+        eye: (
+            Joint("tilt", turn[:, 1], {"tilt (motor)": 0.02}, rng.normal(0, 0.02, 3), gain=1.1),
+            Joint("pan", turn[:, 2], {"version": 1.0, "vergence": half}, offset_rad=0.1),
+            Joint("roll", turn[:, 0], {f"{eye}_roll": -1.0}, rng.normal(0, 0.02, 3)),
+        )
+        for eye, half in zip(EYES, (-0.5, 0.5), strict=True)
+    }
+    readings = ("vergence", "left_roll", "right_roll", "tilt (motor)", "version")
+    return Kinematics(eyes, readings)
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of its loader
+@pytest.mark.parametrize("kinematics", [Kinematics(), many_joints(1), many_joints(2)])
+def test_mujoco_and_yourdfpy_place_the_cameras_of_the_urdf_as_the_head_does(tmp_path, kinematics):
+    urdfpy = pytest.importorskip("yourdfpy")
+    mujoco = pytest.importorskip("mujoco")
+    head = replace(unskewed_head(3), kinematics=kinematics)
+    path = tmp_path / "head.urdf"
+    urdf.save(head, path)
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data, robot = mujoco.MjData(model), urdfpy.URDF.load(str(path), load_meshes=False)
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        neck, readings = rng.uniform(-0.5, 0.5, 3), rng.uniform(-0.5, 0.5, len(kinematics.readings))
+        names = [re.sub(r"\W", "_", name) for name in kinematics.readings]
+        angles = dict(zip((*NECK_JOINTS, *names), (*neck, *readings), strict=True))
+        robot.update_cfg(angles)
+        for name, angle in angles.items():
+            data.joint(name).qpos[0] = angle
+        for follower, leader, polynomial in zip(
+            model.eq_obj1id, model.eq_obj2id, model.eq_data, strict=True
+        ):
+            address = model.jnt_qposadr
+            leads = data.qpos[address[leader]]
+            data.qpos[address[follower]] = polynomial[0] + polynomial[1] * leads
+        mujoco.mj_kinematics(model, data)
+        for name, mounted in head.cameras.items():
+            wanted = base_pose_in_body(head, mounted.eye, neck)
+            wanted = wanted @ camera_pose_in_base(head, name, readings)
+            frame = f"{name}_optical_frame"
+            placed = data.body(frame)
+            found = pose(placed.xmat.reshape(3, 3), placed.xpos)
+            np.testing.assert_allclose(found, wanted, atol=1e-9)
+            np.testing.assert_allclose(robot.get_transform(frame, "body"), wanted, atol=1e-9)
+
+
+def test_joints_get_the_limits_of_the_head(tmp_path):
+    kinematics = many_joints(1)
+    joints = (*NECK_JOINTS, *kinematics.readings)
+    ranges = {name: (-0.1 * k, 0.2 * k) for k, name in enumerate(joints, 1)}
+    limits = joint_limits(ranges, dict.fromkeys(joints, 3.0), joints=joints)
+    head = replace(unskewed_head(10), kinematics=kinematics)
+    export_head(head, tmp_path / "head.urdf", "urdf", limits=limits)
+    robot = ElementTree.parse(tmp_path / "head.urdf").getroot()
+    found = {joint.get("name"): joint for joint in robot.iter("joint")}
+    for name in joints:
+        limited = "left_roll_true" if name == "left_roll" else re.sub(r"\W", "_", name)
+        low, high = ranges[name]
+        expected = (-high, -low) if name == "left_roll" else (low, high)
+        np.testing.assert_allclose(limits_rad(found[limited]), expected, err_msg=name)
 
 
 def limits_rad(joint: ElementTree.Element) -> tuple[float, float]:
@@ -133,9 +203,11 @@ def test_an_eye_whose_pose_is_measured_floats_in_the_urdf(tmp_path, eyes):
     assert moved == {f"{eye}_eye_joint" for eye in eyes}
 
 
+@pytest.mark.parametrize("past", [0.0, 1e-9, 1e-8, 1e-6])
 @pytest.mark.parametrize("pitch", [np.pi / 2, -np.pi / 2])
 @pytest.mark.parametrize("yaw", [0.0, 0.7, -2.0])
-def test_the_urdf_turns_a_camera_that_looks_straight_up_or_down_rightly(tmp_path, pitch, yaw):
+def test_the_urdf_turns_a_camera_that_looks_straight_up_or_down_rightly(tmp_path, pitch, yaw, past):
+    pitch = pitch + past
     R_eye_link = rotation([0, 0, yaw]) @ rotation([0, pitch, 0])
     head = unskewed_head(11)
     T_eye_cam = pose(R_eye_link) @ urdf.T_LINK_OPTICAL
@@ -145,4 +217,4 @@ def test_the_urdf_turns_a_camera_that_looks_straight_up_or_down_rightly(tmp_path
     tree = Tree(tmp_path / "head.urdf")
     T_eye = tree.T_root("left_eye", angles)
     found = inverse(T_eye) @ tree.T_root("left_wide_optical_frame", angles)
-    assert np.abs(rotvec(found[:3, :3].T @ T_eye_cam[:3, :3])).max() < 1e-7
+    assert np.abs(rotvec(found[:3, :3].T @ T_eye_cam[:3, :3])).max() < 1e-12

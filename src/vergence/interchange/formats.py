@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Literal, get_args
 
 import numpy as np
 
 from vergence.errors import VergenceError
+from vergence.gaze.commands import JointLimits
 from vergence.geometry.head import HeadCalibration
 from vergence.interchange import kalibr, opencv, ros, urdf
 from vergence.interchange.serialization import with_intrinsics
@@ -16,15 +18,28 @@ ExportFormat = Literal["kalibr", "ros", "opencv", "urdf"]
 ImportFormat = Literal["kalibr", "ros", "opencv"]
 
 
-def export_head(head: HeadCalibration, path: Path | str, format_name: ExportFormat) -> None:
+def export_head(
+    head: HeadCalibration,
+    path: Path | str,
+    format_name: ExportFormat,
+    *,
+    limits: JointLimits | None = None,
+) -> None:
     """Write a head in another program's format; ros writes a folder, the others a file.
+
+    `limits` are those of the joints, of which urdf alone has a field.
 
     Raises:
         VergenceError: the format is unknown, the head has a property for which it has no field,
             or the path cannot be written.
     """
     _check_format(format_name, get_args(ExportFormat))
-    writers = {"kalibr": kalibr.save, "ros": ros.save, "opencv": opencv.save, "urdf": urdf.save}
+    writers = {
+        "kalibr": kalibr.save,
+        "ros": ros.save,
+        "opencv": opencv.save,
+        "urdf": partial(urdf.save, limits=limits),
+    }
     writers[format_name](head, Path(path))
 
 

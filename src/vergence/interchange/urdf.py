@@ -7,12 +7,16 @@ whose pose is measured floats in its base: whoever measures it publishes the tra
 Joints have their usual names (left_pan, left_tilt, neck_pitch, ...), and their positions are the
 encoders' readings. Where readings need a gain or an offset, the joint of that name turns an empty
 link, and <joint>_true mimics it with URDF's multiplier and offset; transforms then agree exactly.
+
+Every link that moves has inertia, without which MuJoCo and Gazebo refuse it, and MuJoCo is told to
+keep the links that do not move against their parents, which are its cameras' frames.
 """
 
 from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -21,36 +25,52 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.files import write_whole
+from vergence.gaze.commands import JointLimits
 from vergence.geometry.head import R_EYE_CAM, HeadCalibration, base_pose
 from vergence.geometry.kinematics import EYES, Kinematics, Side
 from vergence.geometry.se3 import inverse, pose
 from vergence.interchange.serialization import check_names
 
 LIMIT_RAD = 1.5708
-"""Limit of the joints [rad], a quarter turn each way. URDF requires limits; a calibration holds
-none."""
+"""Limit of joints without a stated one [rad], a quarter turn each way: URDF requires limits."""
 EFFORT, VELOCITY = 100.0, 100.0
-"""Limits of torque and speed that URDF requires, large enough to have no effect."""
+"""Limits of torque [N m] and of speed [rad/s] that URDF requires, large enough to have no
+effect."""
+MASS_KG, INERTIA_KG_M2 = 0.05, 2e-5
+"""Mass and inertia of a moving link, those of a ball of 32 mm radius: a calibration holds none."""
 
 T_LINK_OPTICAL = pose(R_EYE_CAM)
 """From frame cam to a camera's link, which looks along x with z up (REP 103)."""
 
 
-def save(head: HeadCalibration, path: Path) -> None:
+_Limit = tuple[float, float, float]
+"""Lower and upper end [rad] of a joint's range, and its speed [rad/s]."""
+_USUAL: _Limit = -LIMIT_RAD, LIMIT_RAD, VELOCITY
+
+
+def save(head: HeadCalibration, path: Path, limits: JointLimits | None = None) -> None:
     """Write a head as URDF, without the cameras' intrinsics, for which it has no field.
 
+    `limits` are those of the neck's joints and of the readings, by name; others get LIMIT_RAD.
     VergenceError if there is no camera, two links or joints would have one name, or the file cannot
     be written.
     """
     check_names(head)
+    stated: dict[str, _Limit] = {}
+    if limits is not None:
+        rows = zip(limits.joints, limits.range_rad.tolist(), limits.speed_rad_s, strict=True)
+        stated = {name: (*ends, float(speed)) for name, ends, speed in rows}
     robot = ElementTree.Element("robot", name="vergence_head")
+    mujoco = ElementTree.SubElement(robot, "mujoco")
+    ElementTree.SubElement(mujoco, "compiler", fusestatic="false")
     ElementTree.SubElement(robot, "link", name="body")
     neck = head.neck
     n = len(neck.axes)
     names = neck.names or [f"neck_{k + 1}" for k in range(n)]
     links = ["body", *names]
     for k, step in enumerate(np.diff(neck.points_m, axis=0, prepend=np.zeros((1, 3)))):
-        _add_joint(robot, names[k], links[k], names[k], pose(t=step), neck.axes[k])
+        limit = stated.get(names[k], _USUAL)
+        _add_joint(robot, names[k], links[k], names[k], pose(t=step), neck.axes[k], limit)
     T_last_head = pose(t=neck.head_m - (neck.points_m[-1] if n else 0.0))
     _add_joint(robot, "head_joint", links[-1], "head", T_last_head)
     floating = head.accuracy is not None and head.accuracy.eye_motion == "poses"
@@ -61,9 +81,9 @@ def save(head: HeadCalibration, path: Path) -> None:
         base, link = f"{eye}_base", f"{eye}_eye"
         _add_joint(robot, f"{base}_joint", "head", base, base_pose(head, eye))
         if floating:
-            _add_joint(robot, f"{link}_joint", base, link, np.eye(4), kind="floating")
+            _add_joint(robot, f"{link}_joint", base, link, np.eye(4)).set("type", "floating")
         else:
-            _add_eye(robot, head.kinematics, eye, base, link)
+            _add_eye(robot, head.kinematics, eye, base, link, stated)
         for name, mounted in cameras.items():
             T_eye_link = mounted.T_eye_cam @ inverse(T_LINK_OPTICAL)
             _add_joint(robot, f"{name}_joint", link, name, T_eye_link)
@@ -78,7 +98,12 @@ def save(head: HeadCalibration, path: Path) -> None:
 
 
 def _add_eye(
-    robot: ElementTree.Element, kinematics: Kinematics, eye: Side, base: str, end: str
+    robot: ElementTree.Element,
+    kinematics: Kinematics,
+    eye: Side,
+    base: str,
+    end: str,
+    stated: Mapping[str, _Limit],
 ) -> None:
     """Add the joints of an eye between two links: angle = sum of factor * reading + offset.
 
@@ -94,24 +119,31 @@ def _add_eye(
         last = k == len(chain.axes) - 1
         child = end if last else f"{eye}_{joint.name}"
         one = kinematics.readings[terms[0]]
+        limits = {
+            r: stated.get(
+                kinematics.readings[r],
+                (-LIMIT_RAD / largest[r], LIMIT_RAD / largest[r], VELOCITY),
+            )
+            for r in terms
+        }
         users = sum(np.count_nonzero(c.mixing[:, terms[0]]) for c in kinematics.chains.values())
         alone = len(terms) == 1 and users == 1
         if alone and (chain.mixing[k, terms[0]], chain.offset_rad[k]) == (1.0, 0.0):
-            _add_joint(robot, _identifier(one), parent, child, T, chain.axes[k])
+            limit = limits[terms[0]]
+            _add_joint(robot, _identifier(one), parent, child, T, chain.axes[k], limit)
             parent = child
             continue
         offset = chain.offset_rad[k]
         for r in terms:
             name, factor = _identifier(kinematics.readings[r]), chain.mixing[k, r]
-            reach = LIMIT_RAD / largest[r]
             if robot.find(f"link[@name='{name}_reading']") is None:
-                _add_joint(robot, name, parent, f"{name}_reading", T, chain.axes[k], reach)
+                _add_joint(robot, name, parent, f"{name}_reading", T, chain.axes[k], limits[r])
             true = f"{eye}_{joint.name}_true" + ("" if len(terms) == 1 else f"_{name}")
             through = child if r == terms[-1] else true
-            reach *= abs(factor)
-            follower = _add_joint(
-                robot, true, parent, through, T, chain.axes[k], reach, middle_rad=offset
-            )
+            *ends, speed = limits[r]
+            lower, upper = sorted(factor * end + offset for end in ends)
+            limit = lower, upper, abs(factor) * speed
+            follower = _add_joint(robot, true, parent, through, T, chain.axes[k], limit)
             relation = {"joint": name, "multiplier": _text(factor), "offset": _text(offset)}
             ElementTree.SubElement(follower, "mimic", relation)
             parent, T, offset = through, np.eye(4), 0.0
@@ -140,37 +172,38 @@ def _add_joint(
     child: str,
     T_parent_child: Array,
     axis: Array | None = None,
-    reach_rad: float = LIMIT_RAD,
-    *,
-    middle_rad: float = 0.0,
-    kind: str = "fixed",
+    limit: _Limit = _USUAL,
 ) -> ElementTree.Element:
-    """Add a joint, revolute with an axis, and the link that it moves; return the joint.
-
-    It turns by `reach_rad` to either side of `middle_rad`.
-    """
-    kind = kind if axis is None else "revolute"
-    joint = ElementTree.SubElement(robot, "joint", name=name, type=kind)
+    """Add a joint, revolute if it has an axis, and the link that it moves; return the joint."""
+    joint = ElementTree.SubElement(
+        robot, "joint", name=name, type="fixed" if axis is None else "revolute"
+    )
     ElementTree.SubElement(joint, "parent", link=parent)
     ElementTree.SubElement(joint, "child", link=child)
     xyz, rpy = T_parent_child[:3, 3], _rpy(T_parent_child[:3, :3])
     ElementTree.SubElement(joint, "origin", xyz=_text(*xyz), rpy=_text(*rpy))
+    link = ElementTree.SubElement(robot, "link", name=child)
     if axis is not None:
-        lower, upper = middle_rad - reach_rad, middle_rad + reach_rad
-        numbers = dict(lower=lower, upper=upper, effort=EFFORT, velocity=VELOCITY)
+        numbers = zip(("lower", "upper", "velocity", "effort"), (*limit, EFFORT), strict=True)
         ElementTree.SubElement(joint, "axis", xyz=_text(*axis))
-        ElementTree.SubElement(joint, "limit", {key: _text(v) for key, v in numbers.items()})
-    ElementTree.SubElement(robot, "link", name=child)
+        ElementTree.SubElement(joint, "limit", {key: _text(value) for key, value in numbers})
+        inertial = ElementTree.SubElement(link, "inertial")
+        ElementTree.SubElement(inertial, "mass", value=_text(MASS_KG))
+        moments = dict.fromkeys(("ixx", "iyy", "izz"), _text(INERTIA_KG_M2))
+        products = dict.fromkeys(("ixy", "ixz", "iyz"), "0")
+        ElementTree.SubElement(inertial, "inertia", moments | products)
     return joint
 
 
 def _rpy(R: Array) -> tuple[float, float, float]:
-    """Compute roll, pitch, yaw [rad] of URDF: R = Rz(yaw) Ry(pitch) Rx(roll)."""
-    level = np.hypot(R[0, 0], R[1, 0])
-    pitch = np.arctan2(-R[2, 0], level)
-    if level < 1e-9:  # straight up or down: only the sum of roll and yaw has a meaning
-        return np.arctan2(-R[1, 2], R[1, 1]), pitch, 0.0
-    return np.arctan2(R[2, 1], R[2, 2]), pitch, np.arctan2(R[1, 0], R[0, 0])
+    """Compute roll, pitch, yaw [rad] of URDF: R = Rz(yaw) Ry(pitch) Rx(roll).
+
+    Roll and pitch are of what the yaw leaves, so that they agree with it where R points straight up
+    or down, and any yaw will do.
+    """
+    yaw = np.arctan2(R[1, 0], R[0, 0])
+    ahead, left = np.cos(yaw) * R[0] + np.sin(yaw) * R[1], np.cos(yaw) * R[1] - np.sin(yaw) * R[0]
+    return np.arctan2(-left[2], left[1]), np.arctan2(-R[2, 0], ahead[0]), yaw
 
 
 def _text(*values: float) -> str:
