@@ -32,7 +32,7 @@ OUTER_LIBRARIES = {
     "rerun": ("viewer", "paper.recording"),
     "matplotlib": ("viewer", "paper.plots"),
     "joblib": ("parallel",),
-    "rosbags": ("recordings.ros",),
+    "rosbags": ("recordings.ros", "recordings.bag"),
     "tyro": ("cli",),
     "rich": ("cli",),
 }

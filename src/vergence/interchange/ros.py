@@ -25,13 +25,13 @@ from vergence.interchange.serialization import (
     write_yaml,
 )
 
-_NAMES: dict[CameraModel, str] = {
+DISTORTION_MODELS: dict[CameraModel, str] = {
     "radial-tangential": "plumb_bob",
     "rational": "rational_polynomial",
     "fisheye": "equidistant",
 }
 """ROS's names of the lens models, from sensor_msgs/distortion_models.h."""
-_MODELS: dict[str, CameraModel] = {name: model for model, name in _NAMES.items()}
+LENS_MODELS: dict[str, CameraModel] = {name: model for model, name in DISTORTION_MODELS.items()}
 
 
 class _CameraInfo(Intrinsics):
@@ -51,7 +51,7 @@ def save(head: HeadCalibration, folder: Path) -> None:
         for name, mounted in head.cameras.items():
             content = intrinsics_fields(mounted.intrinsics) | {
                 "camera_name": name,
-                "distortion_model": _NAMES[mounted.intrinsics.model],
+                "distortion_model": DISTORTION_MODELS[mounted.intrinsics.model],
                 "rectification_matrix": np.eye(3),
                 "projection_matrix": np.pad(mounted.intrinsics.matrix, ((0, 0), (0, 1))),
             }
@@ -102,4 +102,4 @@ def files(path: Path) -> list[Path]:
 
 def _named_camera(content: Any) -> tuple[str, Camera]:
     info = _CameraInfo.model_validate(content)
-    return info.camera_name, info.camera(_MODELS[info.distortion_model])
+    return info.camera_name, info.camera(LENS_MODELS[info.distortion_model])

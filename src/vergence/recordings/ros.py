@@ -33,6 +33,7 @@ KINDS: dict[str, Kind] = {
     "CameraInfo": "lens",
     "JointState": "joints",
     "TFMessage": "poses",
+    "tfMessage": "poses",
 }
 """Kinds of channel by the last part of their type."""
 

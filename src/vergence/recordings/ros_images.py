@@ -7,8 +7,10 @@ from typing import Any
 import cv2
 import numpy as np
 
-from vergence.errors import VergenceError
+from vergence.errors import VergenceError, explain
 from vergence.geometry.camera import Camera
+from vergence.geometry.lens import COEFFICIENTS
+from vergence.interchange.ros import LENS_MODELS
 
 _ENCODINGS: dict[str, tuple[type, int, int | None]] = {
     "mono8": (np.uint8, 1, None),
@@ -67,5 +69,32 @@ def compressed_image(message: Any, where: str) -> np.ndarray:
 
 
 def camera_lens(message: Any, where: str) -> Camera:
-    """Read the lens of a CameraInfo, of ROS 1 or ROS 2."""
-    raise VergenceError(f"{where}: not read yet.")
+    """Read the lens of a CameraInfo of ROS 1 or ROS 2, for the images as they are sent.
+
+    The matrix is for the whole sensor; the images may be a part of it, or its pixels binned.
+    VergenceError without a calibration, or for a lens model that is not known.
+    """
+    matrix = np.array(getattr(message, "k" if hasattr(message, "k") else "K"), float).reshape(3, 3)
+    distortion = np.array(getattr(message, "d" if hasattr(message, "d") else "D"), float).ravel()
+    if not matrix.any():
+        raise VergenceError(f"{where} states no lens: its camera matrix is zero.")
+    name = message.distortion_model
+    if not distortion.any() and name not in LENS_MODELS:
+        name = "plumb_bob"
+    if name not in LENS_MODELS:
+        raise VergenceError(
+            f"{where} has the lens model {name!r:.40}; known are {', '.join(LENS_MODELS)}."
+        )
+    part, bins = message.roi, np.maximum([message.binning_x, message.binning_y], 1)
+    whole = np.array([message.width, message.height])
+    size = np.where([part.width, part.height], [part.width, part.height], whole) // bins
+    corner = np.array([part.x_offset, part.y_offset]) + (bins - 1) / 2
+    matrix[:2, 2] -= corner
+    matrix[:2] /= bins[:, None]
+    needed = len(COEFFICIENTS[LENS_MODELS[name]])
+    if len(distortion) < needed or not distortion[needed:].any():  # such as those of a thin prism
+        distortion = np.pad(distortion, (0, needed))[:needed]
+    try:
+        return Camera(*size.tolist(), matrix, distortion, LENS_MODELS[name])
+    except ValueError as error:
+        raise VergenceError(f"{where} has an impossible lens: {explain(error)}.") from None
