@@ -2,30 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import os
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import cast
 
 import cv2
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.detection import detect_or_explain
 from vergence.data.dataset import Frame
 from vergence.data.description import Description
 from vergence.data.writer import DatasetRow, write_dataset
 from vergence.errors import VergenceError
 from vergence.files import check_new
 from vergence.findings import Finding
+from vergence.geometry.board import Board
 from vergence.progress import Progress, silent
 from vergence.recordings.board_placements import number_placements
+from vergence.recordings.chosen_images import read_images
 from vergence.recordings.formats import open_recording
-from vergence.recordings.frame_choice import ChosenFrames, choose_frames
-from vergence.recordings.moments import Moments, find_moments
+from vergence.recordings.frame_choice import choose_frames
+from vergence.recordings.moments import find_moments
 from vergence.recordings.recording import Recording
 from vergence.recordings.recording_map import RecordingMap, describe
 from vergence.recordings.scan import scan
+from vergence.vision.board_detection import detect_board
+
+_TASK = "finding the board"
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,17 +55,18 @@ def import_recording(
     """
     check_new(Path(out))
     with open_recording(path) as recording:
-        channels = needed_channels(recording, mapped)
-        scanned = scan(recording, channels, progress=progress)
+        scanned = scan(recording, needed_channels(recording, mapped), progress=progress)
         sizes = {name: track.size for name, track in scanned.images.items()}
         description = describe(mapped, sizes, scanned.lenses)
         moments = find_moments(scanned, mapped, description)
         chosen = choose_frames(moments, mapped.frames)
-        corners = _corners(recording, description, mapped, moments, chosen, progress)
+        channels = {name: source.images for name, source in mapped.cameras.items()}
+        again = partial(read_images, recording, scanned.images, channels, moments)
+        corners = _corners(description, again(chosen.rows), len(chosen.rows), progress)
         placement = number_placements(description, moments, chosen, corners)
 
         def rows() -> Iterator[DatasetRow]:
-            for k, images in _images(recording, mapped, moments, chosen):
+            for k, images in enumerate(again(chosen.rows)):
                 row = chosen.rows[k]
                 time_s = moments.time_ns[row] * 1e-9
                 frame = Frame(
@@ -89,30 +97,34 @@ def needed_channels(recording: Recording, mapped: RecordingMap) -> list[str]:
     return [*named, *joints, *(poses if mapped.poses else ())]
 
 
-def _images(
-    recording: Recording, mapped: RecordingMap, moments: Moments, chosen: ChosenFrames
-) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
-    """Yield the number of each chosen frame and its images by camera."""
-    raise NotImplementedError
-
-
 def _corners(
-    recording: Recording,
     description: Description,
-    mapped: RecordingMap,
-    moments: Moments,
-    chosen: ChosenFrames,
+    images_of: Iterable[Mapping[str, np.ndarray]],
+    count: int,
     progress: Progress,
 ) -> dict[str, Array]:
     """Find the board in the images of chosen frames: by camera (F, K, 2), NaN where not seen."""
-    board = description.board
-    shape = len(chosen.rows), board.columns * board.rows, 2
-    found = {name: np.full(shape, np.nan) for name in mapped.cameras}
-    for k, images in _images(recording, mapped, moments, chosen):
-        for name, image in images.items():
-            grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-            corners, _ = detect_or_explain(cast(np.ndarray, grey), board)
-            if corners is not None:
-                found[name][k] = corners
-        progress("finding the board", k + 1, len(chosen.rows))
+    shape = count, description.board.columns * description.board.rows, 2
+    found = {name: np.full(shape, np.nan) for name in description.cameras}
+    progress(_TASK, 0, count)
+    waiting: deque[tuple[int, str, Future[Array | None]]] = deque()
+    workers = os.cpu_count() or 1
+    with ThreadPoolExecutor(workers) as pool:
+        for k, images in enumerate(images_of):
+            for name, image in images.items():
+                waiting.append((k, name, pool.submit(_detect, image, description.board)))
+            while len(waiting) > (4 * workers if k < count - 1 else 0):  # bounds the memory
+                row, camera, corners = waiting.popleft()
+                if (seen := corners.result()) is not None:
+                    found[camera][row] = seen
+                progress(_TASK, row + 1, count)
     return found
+
+
+def _detect(image: np.ndarray, board: Board) -> Array | None:
+    if image.dtype == np.uint16:
+        image = image >> max(0, int(image.max()).bit_length() - 8)
+    try:
+        return detect_board(image.astype(np.uint8), board)
+    except cv2.error:  # images of a few pixels, for example
+        return None

@@ -1,0 +1,172 @@
+"""A head that looks at a board, drawn, as bags of ROS hold it: no MuJoCo."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from recordings import texture
+from vergence.arrays import Array
+from vergence.geometry.board import Chessboard
+from vergence.geometry.camera import pinhole
+from vergence.geometry.head import R_EYE_CAM, HeadCalibration, MountedCamera, camera_pose_in_base
+from vergence.geometry.se3 import inverse, pose, rotation
+
+BOARD = Chessboard(columns=7, rows=6, square_m=0.03)
+SIZE = 320, 240
+START_NS = 1_700_000_000_123_456_789
+IMAGE_NS, JOINT_NS = 100_000_000, 10_300_000
+"""Periods of images and of readings [ns]."""
+STORE = get_typestore(Stores.ROS2_HUMBLE)
+TOPICS = {"left_wide": "/stereo/left/image_raw", "right_wide": "/stereo/right/image_raw"}
+
+
+def two_eyes() -> HeadCalibration:
+    """Return a head with two cameras of little resolution that err in their mounting."""
+    cameras = {
+        f"{eye}_wide": MountedCamera(
+            eye=eye,
+            intrinsics=pinhole(*SIZE, 260.0),
+            T_eye_cam=pose(rotation(turn) @ R_EYE_CAM, [0.02, 0.001, 0.01]),
+        )
+        for eye, turn in (("left", [0.01, -0.02, 0.015]), ("right", [-0.015, 0.01, 0.02]))
+    }
+    return HeadCalibration(cameras=cameras, T_rbase_lbase=pose(t=[0, 0.07, 0]))
+
+
+@dataclass(frozen=True)
+class Session:
+    """What a head does: a list of rests, between which eyes and board move."""
+
+    angles: Array
+    """(R, 4) joint angles of each rest [rad]."""
+    T_lbase_target: Array
+    """(R, 4, 4) pose of the board in each rest."""
+    rest_ns: int = 500_000_000
+    move_ns: int = 300_000_000
+
+    @property
+    def period_ns(self) -> int:
+        return self.rest_ns + self.move_ns
+
+    @property
+    def end_ns(self) -> int:
+        return self.period_ns * len(self.angles) - self.move_ns
+
+    def _blend(self, t_ns: int) -> tuple[int, int, float]:
+        k = min(t_ns // self.period_ns, len(self.angles) - 1)
+        part = max(0.0, (t_ns - k * self.period_ns - self.rest_ns) / self.move_ns)
+        return k, min(k + 1, len(self.angles) - 1), part
+
+    def angles_at(self, t_ns: int) -> Array:
+        """Return joint angles (4,) some time after the start."""
+        a, b, part = self._blend(t_ns)
+        return (1 - part) * self.angles[a] + part * self.angles[b]
+
+    def board_at(self, t_ns: int) -> Array:
+        """Return the pose of the board in the left base."""
+        a, b, part = self._blend(t_ns)
+        T = self.T_lbase_target[b if part > 0.5 else a].copy()
+        T[:3, 3] = (1 - part) * self.T_lbase_target[a, :3, 3] + part * self.T_lbase_target[b, :3, 3]
+        return T
+
+
+def usual(straight: int = 12, turned: int = 22, *, seed: int = 0) -> Session:
+    """Return boards at many places before straight eyes, then one board and turning eyes."""
+    rng = np.random.default_rng(seed)
+    base = pose(R_EYE_CAM, [0.4, 0.06, 0.07])  # the board's face, its first corner up and left
+    poses, angles = [], []
+    for _ in range(straight):
+        poses.append(pose(t=rng.normal(0, [0.03, 0.02, 0.02])) @ base @ pose(rotation(
+            rng.uniform(-0.5, 0.5, 3) * [1, 1, 0.5])))  # fmt: skip
+        angles.append(rng.normal(0, 0.005, 4))
+    for _ in range(turned):
+        poses.append(base @ pose(rotation([0.2, 0.25, 0.1])))
+        pan, tilt = rng.uniform(-0.2, 0.2), rng.uniform(-0.15, 0.15)
+        angles.append(np.array([pan, tilt, pan, tilt]) + rng.normal(0, 0.02, 4))
+    return Session(np.array(angles), np.array(poses))
+
+
+def draw(head: HeadCalibration, camera: str, angles: Array, T_lbase_target: Array) -> np.ndarray:
+    """Draw a camera's grey image (H, W) of the board."""
+    mounted = head.cameras[camera]
+    T_lbase_base = np.eye(4) if mounted.eye == "left" else inverse(head.T_rbase_lbase)
+    T = inverse(T_lbase_base @ camera_pose_in_base(head, camera, angles)) @ T_lbase_target
+    H = mounted.intrinsics.matrix @ T[:3, [0, 1, 3]] @ np.diag([BOARD.square_m] * 2 + [1])
+    scale, fine = 1 / 40, 3
+    T_texel = np.array([[scale, 0, scale / 2 - 1.5], [0, scale, scale / 2 - 1.5], [0, 0, 1]])
+    enlarge = np.array([[fine, 0, (fine - 1) / 2], [0, fine, (fine - 1) / 2], [0, 0, 1.0]])
+    large = cv2.warpPerspective(
+        texture(BOARD), enlarge @ H @ T_texel, (SIZE[0] * fine, SIZE[1] * fine), borderValue=120
+    )
+    image = cv2.resize(large, SIZE, interpolation=cv2.INTER_AREA)
+    return cv2.GaussianBlur(image, (0, 0), 0.5)
+
+
+Message = tuple[str, int, object]
+"""Topic, time of receipt [ns], message."""
+
+
+def header(stamp_ns: int, frame: str = "") -> object:
+    """Return a header of ROS 2."""
+    time = STORE.types["builtin_interfaces/msg/Time"](stamp_ns // 10**9, stamp_ns % 10**9)
+    return STORE.types["std_msgs/msg/Header"](time, frame)
+
+
+def image_message(image: np.ndarray, stamp_ns: int) -> object:
+    """Return an Image of a grey one."""
+    height, width = image.shape
+    return STORE.types["sensor_msgs/msg/Image"](
+        header(stamp_ns), height, width, "mono8", 0, width, image.reshape(-1)
+    )
+
+
+def joints_message(values: Mapping[str, float], stamp_ns: int) -> object:
+    """Return a JointState."""
+    none = np.zeros(0)
+    return STORE.types["sensor_msgs/msg/JointState"](
+        header(stamp_ns), list(values), np.array([*values.values()]), none, none
+    )
+
+
+def messages(session: Session, head: HeadCalibration) -> list[Message]:
+    """Return what the head records: angles in degrees, eyes and their tilts on two topics.
+
+    Messages are received 20 ms after their stamp, those of joints 2 ms.
+    """
+    found: list[Message] = []
+    for k in range(session.end_ns // IMAGE_NS + 1):
+        t = k * IMAGE_NS
+        for camera, topic in TOPICS.items():
+            image = draw(head, camera, session.angles_at(t), session.board_at(t))
+            stamp = START_NS + t
+            found.append((topic, stamp + 20_000_000, image_message(image, stamp)))
+    for k in range(-3, session.end_ns // JOINT_NS + 3):
+        t = k * JOINT_NS
+        angles = np.degrees(session.angles_at(max(0, t)))
+        stamp = START_NS + t
+        pan = {"l_eye_pan": angles[0], "r_eye_pan": -angles[2], "jaw": 3.0}
+        tilt = {"r_eye_tilt": angles[3], "l_eye_tilt": angles[1]}
+        for topic, values in (("/pans/joint_states", pan), ("/tilts/joint_states", tilt)):
+            found.append((topic, stamp + 2_000_000, joints_message(values, stamp)))
+    return sorted(found, key=lambda each: each[1])
+
+
+def write_bag(
+    folder: Path,
+    content: list[Message],
+    *,
+    change: Callable[[Message], Message] = lambda message: message,
+) -> None:
+    """Write messages into a bag of ROS 2 in MCAP."""
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connections = {}
+        for topic, received_ns, message in map(change, content):
+            kind = message.__msgtype__  # type: ignore[attr-defined]
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, kind, typestore=STORE)
+            writer.write(connections[topic], received_ns, STORE.serialize_cdr(message, kind))
