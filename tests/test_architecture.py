@@ -32,6 +32,8 @@ OUTER_LIBRARIES = {
     "rerun": ("viewer", "paper.recording"),
     "matplotlib": ("viewer", "paper.plots"),
     "joblib": ("parallel",),
+    "pyarrow": ("recordings",),
+    "av": ("recordings.video",),
     "rosbags": ("recordings.ros", "recordings.bag"),
     "tyro": ("cli",),
     "rich": ("cli",),

@@ -25,7 +25,7 @@ from recordings import (
 from texts import texts
 from vergence.calibration import detection
 from vergence.calibration.detection import detect_or_explain, detect_target
-from vergence.data.dataset import UNREADABLE
+from vergence.data.images import UNREADABLE
 from vergence.data.reader import load_dataset
 from vergence.errors import VergenceError
 from vergence.geometry.board import Charuco

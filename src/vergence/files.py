@@ -57,6 +57,24 @@ def read_bytes(path: Path, most_bytes: int) -> bytes:
     return content
 
 
+def file_inside(folder: Path, name: str, where: str, *, of: str) -> Path:
+    """Find a regular file by its name in a folder, which no link and no name may leave.
+
+    `of` names what the folder holds, and `where` begins the sentence of a VergenceError.
+    """
+    root = folder.resolve()
+    try:
+        path = (root / name).resolve()
+        is_file = path.is_file()
+    except (OSError, ValueError, RuntimeError):  # too long, a zero byte, a loop of links
+        raise VergenceError(f"{where} is not a possible file name.") from None
+    if not path.is_relative_to(root):
+        raise VergenceError(f"{where} leads out of the {of}'s folder.")
+    if not is_file:
+        raise VergenceError(f"{where} is missing, or not a regular file.")
+    return path
+
+
 def _kind(path: Path) -> str:
     return "a folder, not a file" if path.is_dir() else "not a regular file"
 

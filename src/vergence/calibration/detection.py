@@ -13,7 +13,8 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.calibration.observations import NO_CORNERS, UNREADABLE_IMAGE, Observations
 from vergence.calibration.other_boards import ANOTHER, mirrored, other_board, why_not_found
-from vergence.data.dataset import UNREADABLE, Dataset, runs
+from vergence.data.dataset import Dataset, runs
+from vergence.data.images import UNREADABLE
 from vergence.data.timing import Timing
 from vergence.errors import VergenceError, counted
 from vergence.findings import Finding, note

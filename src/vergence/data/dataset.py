@@ -5,18 +5,16 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
 
 import cv2
 import numpy as np
-from PIL import Image
 
 from vergence.arrays import Array
 from vergence.data.description import FRAMES, Description
+from vergence.data.images import MAX_IMAGE_BYTES, UNREADABLE, decode_image, image_size
 from vergence.data.timing import Timing, moved_readings
 from vergence.errors import VergenceError, counted
 from vergence.files import read_bytes
@@ -24,8 +22,6 @@ from vergence.findings import Finding
 from vergence.geometry.camera import check_image_fits
 from vergence.geometry.head import HeadCalibration, pair_names
 
-IMAGE_FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "PPM", "WEBP")
-UNREADABLE = f"is not a readable image ({', '.join(IMAGE_FORMATS)}), or far too large"
 MAX_GAP_S = 0.2
 """Longest time [s] between successive rows of one motion; six images at 30 Hz."""
 LEAST_MOVING = 3
@@ -104,29 +100,20 @@ class Dataset:
         name, stated = self.files[camera][row], self.description.cameras[camera]
         if name is None:
             return None
-        content = read_bytes(self.folder / name, 256 * 2**20)  # unpacked, 50 megapixels have 300 MB
-        try:
-            with warnings.catch_warnings():  # of odd metadata
-                warnings.simplefilter("ignore")
-                with Image.open(BytesIO(content), formats=IMAGE_FORMATS) as header:
-                    size = header.size
-                    header.verify()  # libpng prints a line of its own about a file that is cut off
-        except Exception:  # readers raise errors of many kinds for damaged files
+        content = read_bytes(self.folder / name, MAX_IMAGE_BYTES)
+        size = image_size(content)
+        if size is None:
             return None
         if size != (stated.width, stated.height):
             raise VergenceError(
                 f"{self.where(row)}: {camera}: {name} has {size[0]} x {size[1]} pixels, but "
                 f"dataset.json says {stated.width} x {stated.height}."
             )
-        # As the sensor was read out: an EXIF orientation would turn the pixel coordinates.
-        flags = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
-        try:
-            image = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
-        except cv2.error:
+        image = decode_image(content)
+        if image is None:
             return None
-        if image is None or image.shape[1::-1] != size or image.dtype not in (np.uint8, np.uint16):
-            return None
-        image = cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+        if image.ndim == 2:
+            image = cv2.cvtColor(image, cv2.COLOR_GRAY2RGB)
         if image.dtype == np.uint8:
             return image
         bits = stated.bits or max(8, int(image.max()).bit_length())

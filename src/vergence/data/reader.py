@@ -21,7 +21,7 @@ from vergence.data.table import (
     time_stamps,
 )
 from vergence.errors import VergenceError
-from vergence.files import parse_json, read_parsed, validated
+from vergence.files import file_inside, parse_json, read_parsed, validated
 from vergence.findings import Finding, note
 from vergence.geometry.kinematics import EYES, Kinematics, eye_joint_angles
 from vergence.geometry.neck import NECK_JOINTS
@@ -86,7 +86,6 @@ def _image_files(
     folder: Path, description: Description, table: Table
 ) -> dict[str, tuple[str | None, ...]]:
     """List the N image files of each camera; VergenceError if one is missing or used twice."""
-    root = folder.resolve()
     used: dict[Path, str] = {}
     for k, line in enumerate(table.lines):
         for camera in description.cameras:
@@ -94,15 +93,7 @@ def _image_files(
             if not name:
                 continue
             where = f"{table.where(k)}: {camera}: {name[:80]!r}"
-            try:
-                path = (root / name).resolve()
-                is_file = path.is_file()
-            except (OSError, ValueError, RuntimeError):  # too long, a zero byte, a loop of links
-                raise VergenceError(f"{where} is not a possible file name.") from None
-            if not path.is_relative_to(root):
-                raise VergenceError(f"{where} leads out of the dataset's folder.")
-            if not is_file:
-                raise VergenceError(f"{where} is missing, or not a regular file.")
+            path = file_inside(folder, name, where, of="dataset")
             if path in used:
                 raise VergenceError(f"{where} is also the image of {used[path]}.")
             used[path] = f"{camera} in line {line}"
