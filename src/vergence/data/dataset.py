@@ -198,7 +198,7 @@ def stereo_rows(dataset: Dataset, head: HeadCalibration) -> StereoRows:
         shape = stated[name].height, stated[name].width
         check_image_fits(name, head.camera(name).intrinsics, shape, whose=f"those of {folder}")
     if dataset.T_base_eye is None:
-        check_readings_match(dataset, head)
+        check_readings_match(dataset.description, head, folder)
     both = [
         k
         for k in range(len(dataset))
@@ -207,25 +207,35 @@ def stereo_rows(dataset: Dataset, head: HeadCalibration) -> StereoRows:
     if not both:
         raise VergenceError(f"No row of {folder} has images of both {' and '.join(cameras)}.")
     rows = np.array(both)
-    return StereoRows(dataset, cameras, rows, _at_the_images(dataset, head)[rows])
+    return StereoRows(dataset, cameras, rows, readings_at_images(dataset, head)[rows])
 
 
-def check_readings_match(dataset: Dataset, head: HeadCalibration) -> None:
-    """Raise VergenceError if a dataset has other joint readings than a head."""
-    read, known = dataset.description.head_kinematics.readings, head.kinematics.readings
+def check_readings_match(
+    description: Description, head: HeadCalibration, where: Path | str
+) -> None:
+    """Raise VergenceError if what is described, in a place, has other readings than a head."""
+    read, known = description.head_kinematics.readings, head.kinematics.readings
     if read != known:
         raise VergenceError(
-            f"The calibration is for the joint readings {', '.join(known)}; {dataset.folder} has "
+            f"The calibration is for the joint readings {', '.join(known)}; {where} has "
             f"{', '.join(read) or 'none'}."
         )
 
 
-def _at_the_images(dataset: Dataset, head: HeadCalibration) -> Array:
-    """Move readings (M, r) [rad], or eye poses, of all rows to the moments of their images."""
+def readings_at_images(dataset: Dataset, head: HeadCalibration, later_s: float = 0.0) -> Array:
+    """Move readings (M, r) [rad], or eye poses (M, 2, 4, 4), of all rows to their images.
+
+    Those of moving eyes are of some seconds after the images. VergenceError for a motion that is
+    too short.
+    """
     readings = dataset.eye_angles if dataset.T_base_eye is None else dataset.T_base_eye
     if not dataset.moving.any():
         return readings
-    apart = (dataset.time_s - dataset.joint_time_s)[dataset.moving]
-    offset_s = head.time_offset_s or float(np.median(apart))
     timing = Timing(dataset.joint_time_s, runs(dataset))
-    return moved_readings(readings, timing, offset_s)
+    return moved_readings(readings, timing, time_offset(dataset, head) + later_s)
+
+
+def time_offset(dataset: Dataset, head: HeadCalibration) -> float:
+    """Take the calibrated time from a reading to its image [s] or, without one, the stamps'."""
+    apart = (dataset.time_s - dataset.joint_time_s)[dataset.moving]
+    return head.time_offset_s or (float(np.median(apart)) if len(apart) else 0.0)
