@@ -7,10 +7,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from vergence.errors import VergenceError
-from vergence.recordings import ros
+from vergence.recordings import ros, yarp
 from vergence.recordings.recording import Recording
 
-FORMATS = (ros,)
+FORMATS = (ros, yarp)
 """Modules with `recognise` and `open_recording`, asked in this order."""
 
 
@@ -21,13 +21,14 @@ def open_recording(path: Path | str) -> Iterator[Recording]:
     VergenceError if it is missing, damaged, or of an unknown format.
     """
     path = Path(path)
-    if not path.exists():
-        raise VergenceError(f"There is no recording {path}.")
     for format in FORMATS:
         if format.recognise(path):
             with format.open_recording(path) as recording:
                 yield recording
             return
+    if not path.exists():
+        raise VergenceError(f"There is no recording {path}.")
     raise VergenceError(
-        f"{path} is not a recording that can be read: a ROS 1 .bag, a ROS 2 folder, .db3 or .mcap."
+        f"{path} is not a recording that can be read: a ROS 1 .bag, a ROS 2 folder, .db3 or .mcap, "
+        "a folder of yarpdatadumper."
     )

@@ -1,0 +1,71 @@
+"""Convert columns of time stamps to nanoseconds, and recognise their unit by its magnitude."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from vergence.errors import VergenceError
+
+UNITS_NS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
+"""Units of time [ns]."""
+SINCE_1970_S = 9.4e8, 4.2e9
+"""Times [s] that count as seconds since 1970: of the years 2000 to 2100."""
+MAX_S = 9e9
+"""Latest time [s]; nanoseconds of 64 bits end after 292 years."""
+MAX_STEP_S = 20.0
+"""Longest usual time between successive stamps [s] if they do not count from 1970; still images
+are taken faster. From 1970 on an hour is allowed."""
+_NAMED = {
+    "s": ("s", "sec", "secs", "second", "seconds"),
+    "ms": ("ms", "msec", "millis", "milliseconds"),
+    "us": ("us", "usec", "micros", "microseconds"),
+    "ns": ("ns", "nsec", "nanos", "nanoseconds"),
+}
+
+
+def nanoseconds(values: np.ndarray, unit: str, where: str) -> np.ndarray:
+    """Convert stamps (N,) of int or float to int64 [ns].
+
+    VergenceError if one is not finite or too large.
+    """
+    factor = UNITS_NS[unit]
+    if len(values) and not (np.abs(values.astype(float)) <= MAX_S * 1e9 / factor).all():
+        k = int(np.argmin(np.abs(values.astype(float)) <= MAX_S * 1e9 / factor))
+        raise VergenceError(
+            f"{where}: stamp {k + 1} is {values[k]}, which is not a time in {unit}."
+        )
+    if values.dtype.kind in "iu":
+        return values.astype(np.int64) * factor
+    whole = np.floor(values)  # a float of all nanoseconds since 1970 is exact to 256 only
+    return whole.astype(np.int64) * factor + np.rint((values - whole) * factor).astype(np.int64)
+
+
+def recognise_unit(values: np.ndarray, name: str, where: str) -> str:
+    """Find the unit of stamps (N,): by the last word of their name, or by their size and steps.
+
+    VergenceError if they may as well be the numbers of frames.
+    """
+    last = re.split(r"[^a-z]+", re.sub(r"[^a-z]+$", "", name.lower()))[-1]
+    for unit, words in _NAMED.items():
+        if last in words:
+            return unit
+    stamps = values.astype(float)
+    stamps = stamps[np.isfinite(stamps)]
+    if not len(stamps):
+        return "s"
+    middle, step = np.median(stamps), np.median(np.abs(np.diff(stamps))) if len(stamps) > 1 else 0.0
+    earliest, latest = SINCE_1970_S
+    for unit, factor in UNITS_NS.items():
+        second = 1e9 / factor
+        if earliest <= middle / second <= latest and step / second <= 3600:
+            return unit
+    if (stamps != np.rint(stamps)).any():
+        return "s"
+    if step <= 1:
+        raise VergenceError(
+            f"{where}: {name} has steps of {step:g}, as numbers of frames have; name the "
+            "column with the unit of times at its end, such as time_s or time_ns."
+        )
+    return next((unit for unit, f in UNITS_NS.items() if step * f <= MAX_STEP_S * 1e9), "ns")
