@@ -34,7 +34,9 @@ OUTER_LIBRARIES = {
     "joblib": ("parallel",),
     "pyarrow": ("recordings",),
     "av": ("recordings.video",),
-    "rosbags": ("recordings.ros", "recordings.bag"),
+    "rosbags": ("recordings.ros", "recordings.bag", "recordings.bag_limits"),
+    "apsw": ("recordings.bag_limits",),
+    "lz4": ("recordings.bag_limits",),
     "tyro": ("cli",),
     "rich": ("cli",),
 }

@@ -12,7 +12,6 @@ import numpy as np
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Ros2Writer
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.spatial.transform import Rotation
 
 from vergence.errors import VergenceError
@@ -20,12 +19,12 @@ from vergence.files import check_writable, whole_file, whole_folder
 from vergence.geometry.camera import Camera
 from vergence.interchange.ros import DISTORTION_MODELS
 from vergence.recordings.recording import Content, FramePose, JointSample, Message
+from vergence.recordings.ros import typestore
 
 Storage = Literal["ros1", "ros2", "mcap"]
 """A ROS 1 bag, and ROS 2 bags in SQLite and in MCAP."""
 COMPRESSED = "/compressed"
 """Ending of channels whose images are written as PNG; image_transport names them so."""
-_TF = "tf2_msgs/msg/TFMessage"
 _ENCODINGS = {
     (np.dtype(np.uint8), 2): "mono8",
     (np.dtype(np.uint8), 3): "rgb8",
@@ -51,9 +50,7 @@ def write_bag(path: Path | str, messages: Iterable[Message], *, storage: Storage
     or cannot be written.
     """
     path = Path(path)
-    store = get_typestore(Stores.ROS1_NOETIC if storage == "ros1" else Stores.ROS2_HUMBLE)
-    if storage == "ros1":  # the library's types of ROS 1 lack this one
-        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", _TF))
+    store = typestore(ros1=storage == "ros1")
     serialize = store.serialize_ros1 if storage == "ros1" else store.serialize_cdr
     connections: dict[str, Any] = {}
     with _writer(path, storage) as writer:
@@ -132,4 +129,4 @@ def _ros_message(each: Message, types: dict[str, Any], *, ros1: bool) -> Any:
         at = make("geometry_msgs/Transform", shift, turn)
         return make("geometry_msgs/TransformStamped", header(each.parent), each.child, at)
 
-    return types[_TF]([transform(each) for each in content])
+    return types["tf2_msgs/msg/TFMessage"]([transform(each) for each in content])

@@ -1,20 +1,33 @@
-"""Read bags of ROS 1 and ROS 2 with rosbags, without ROS."""
+"""Read bags of ROS 1 and ROS 2 with rosbags, without ROS.
+
+Messages are decoded by ROS's own definitions of the types in KINDS, which are the same in all its
+versions. Definitions in a bag are not used: the library makes code of them.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
-from contextlib import contextmanager
+import os
+from collections.abc import Callable, Collection, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from functools import partial
+from heapq import merge
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rosbags.highlevel import AnyReader
-from rosbags.typesys import Stores, get_typestore
+from rosbags.interfaces import Connection
+from rosbags.rosbag1 import Reader as Ros1Reader
+from rosbags.rosbag1 import ReaderError as Ros1Error
+from rosbags.rosbag2 import Reader as Ros2Reader
+from rosbags.rosbag2 import ReaderError as Ros2Error
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 from scipy.spatial.transform import Rotation
 
 from vergence.errors import VergenceError, explain
 from vergence.geometry.se3 import pose
+from vergence.recordings.bag_limits import BoundedRos1Reader, check_folder, limit_opened
 from vergence.recordings.recording import (
     Channel,
     Content,
@@ -28,81 +41,157 @@ from vergence.recordings.ros_images import camera_lens, compressed_image, raw_im
 
 SUFFIXES = (".bag", ".db3", ".mcap")
 KINDS: dict[str, Kind] = {
-    "Image": "images",
-    "CompressedImage": "images",
-    "CameraInfo": "lens",
-    "JointState": "joints",
-    "TFMessage": "poses",
-    "tfMessage": "poses",
+    "sensor_msgs/msg/Image": "images",
+    "sensor_msgs/msg/CompressedImage": "images",
+    "sensor_msgs/msg/CameraInfo": "lens",
+    "sensor_msgs/msg/JointState": "joints",
+    "tf2_msgs/msg/TFMessage": "poses",
+    "tf/msg/tfMessage": "poses",
 }
-"""Kinds of channel by the last part of their type."""
+"""Kinds of channel by the type of their messages."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Bag:
+    path: Path
+    readers: list[Ros1Reader] | list[Ros2Reader]
+    types: Typestore
+    ros1: bool
+    decompress: Callable[[bytes], bytes] = bytes
+    """Decompresses a message."""
+
+
+def typestore(*, ros1: bool) -> Typestore:
+    """Make the library's store of message types, with all types in KINDS."""
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    for name in KINDS.keys() - store.types.keys() if ros1 else ():
+        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", name))
+    return store
 
 
 def recognise(path: Path) -> bool:
-    """Test whether a path is a bag by its name or its metadata."""
-    return path.suffix in SUFFIXES or (path / "metadata.yaml").is_file()
+    """Test whether a path is a bag by its name or its metadata, or a folder of split ROS 1 bags."""
+    return (
+        path.suffix in SUFFIXES
+        or os.path.exists(path / "metadata.yaml")
+        or any(path.glob("*.bag") if os.path.isdir(path) else ())
+    )
 
 
 @contextmanager
 def open_recording(path: Path) -> Iterator[Recording]:
     """Open a bag; VergenceError if it is damaged."""
+    with ExitStack() as stack:
+        with _explained(path):
+            bag = _open(path, stack)
+            channels: dict[str, Channel] = {}
+            for each in (each for reader in bag.readers for each in reader.connections):
+                before = channels.get(each.topic)
+                kind = before.kind if before else _kind(bag, each)
+                count = each.msgcount + (before.count if before else 0)
+                channels[each.topic] = Channel(each.topic, kind, each.msgtype, count)
+        yield Recording(path, dict(sorted(channels.items())), partial(_read, bag))
+
+
+def _open(path: Path, stack: ExitStack) -> _Bag:
+    files = [path]
+    if os.path.isdir(path):
+        check_folder(path)
+        if not os.path.exists(path / "metadata.yaml"):
+            files = sorted(path.glob("*.bag"))
+    elif not os.path.isfile(path):  # to open a pipe would block
+        raise VergenceError(f"{path} is not a regular file.")
+    if files and files[0].suffix == ".bag" and os.path.isfile(files[0]):
+        readers = [stack.enter_context(BoundedRos1Reader(file)) for file in files]
+        return _Bag(path, readers, typestore(ros1=True), ros1=True)
+    reader = stack.enter_context(Ros2Reader(path))
+    return _Bag(path, [reader], typestore(ros1=False), False, limit_opened(reader))
+
+
+@contextmanager
+def _explained(path: Path) -> Iterator[None]:
+    """Raise errors of the library, which are of many kinds for damaged files, as VergenceError."""
     try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-            channels = {
-                name: Channel(name, _kind(info.msgtype), info.msgtype or "", info.msgcount)
-                for name, info in reader.topics.items()
-            }
-            yield Recording(path, channels, partial(_read, reader, path))
+        yield
     except VergenceError:
         raise
-    except Exception as error:  # the library raises errors of many kinds for damaged files
+    except (Ros1Error, Ros2Error, OSError) as error:
         raise VergenceError(f"{path} cannot be read as a bag: {explain(error)}.") from error
+    except Exception as error:
+        kind = type(error).__name__
+        raise VergenceError(f"{path} is a damaged bag, or not a bag ({kind}).") from error
 
 
-def _kind(type_name: str | None) -> Kind:
-    return KINDS.get((type_name or "").rpartition("/")[2], "other")
+def _kind(bag: _Bag, connection: Connection) -> Kind:
+    """Select the kind of a connection; other if ROS does not define its messages so."""
+    name, digest = connection.msgtype, connection.digest
+    if name not in KINDS:
+        return "other"
+    known = bag.types.generate_msgdef(name)[1] if bag.ros1 else bag.types.hash_rihs01(name)
+    return KINDS[name] if digest in ("", "*", known) else "other"
 
 
 def _read(
-    reader: AnyReader, path: Path, names: Collection[str], start: int | None, stop: int | None
+    bag: _Bag, names: Collection[str], start: int | None, stop: int | None
 ) -> Iterator[Message]:
-    connections = [each for each in reader.connections if each.topic in names]
-    if not connections:
-        return
-    for connection, received_ns, raw in reader.messages(connections, start=start, stop=stop):
-        message: Any = reader.deserialize(raw, connection.msgtype)
-        where = f"{path}: {connection.topic}"
-        yield Message(
-            connection.topic,
-            _stamp_ns(message, received_ns),
-            received_ns,
-            partial(_content, message, where, _kind(connection.msgtype)),
-        )
+    with _explained(bag.path):
+        chosen = []
+        for reader in bag.readers:
+            connections = [each for each in reader.connections if each.topic in names]
+            for each in connections:
+                if _kind(bag, each) == "other":
+                    raise VergenceError(
+                        f"{bag.path}: {each.topic} has messages of type {each.msgtype:.100} with "
+                        f"definition {each.digest or 'unknown':.80}; types that are read are "
+                        f"those that ROS defines as {', '.join(KINDS)}."
+                    )
+            if connections:
+                chosen.append(reader.messages(connections, start, stop))
+        deserialize = bag.types.deserialize_ros1 if bag.ros1 else bag.types.deserialize_cdr
+        for connection, received_ns, raw in merge(*chosen, key=lambda each: each[1]):
+            message: Any = deserialize(bag.decompress(raw), connection.msgtype)
+            yield Message(
+                connection.topic,
+                _stamp_ns(message, received_ns),
+                received_ns,
+                partial(_content, message, f"{bag.path}: {connection.topic}", connection),
+            )
 
 
 def _stamp_ns(message: Any, received_ns: int) -> int:
-    """Take the stamp of a header; the time of receipt where there is no header."""
-    stamp = getattr(getattr(message, "header", None), "stamp", None)
-    if stamp is None and getattr(message, "transforms", None):
-        stamp = message.transforms[0].header.stamp
-    return received_ns if stamp is None else stamp.sec * 1_000_000_000 + stamp.nanosec
+    """Take the stamp of a header, or of the first of several poses."""
+    with_header = message
+    if hasattr(message, "transforms"):
+        if not message.transforms:
+            return received_ns
+        with_header = message.transforms[0]
+    stamp = with_header.header.stamp
+    return stamp.sec * 1_000_000_000 + stamp.nanosec
 
 
-def _content(message: Any, where: str, kind: Kind) -> Content:
+def _content(message: Any, where: str, connection: Connection) -> Content:
+    kind = KINDS[connection.msgtype]
     if kind == "joints":
-        n = min(len(message.name), len(message.position))
-        return JointSample(tuple(message.name[:n]), np.array(message.position[:n], float))
+        n = min(len(message.name), len(message.position))  # a message may have velocities only
+        values = np.array(message.position[:n], float)
+        stated = np.flatnonzero(np.isfinite(values))
+        return JointSample(tuple(message.name[k] for k in stated), values[stated])
     if kind == "images":
-        return (
-            raw_image(message, where)
-            if hasattr(message, "step")
-            else compressed_image(message, where)
-        )
-    if kind == "lens":
-        return camera_lens(message, where)
+        decode = raw_image if hasattr(message, "step") else compressed_image
+        return decode(message, where)
+    return camera_lens(message, where) if kind == "lens" else _poses(message, where)
+
+
+def _poses(message: Any, where: str) -> tuple[FramePose, ...]:
     found = []
-    for each in getattr(message, "transforms", ()):
+    for each in message.transforms:
         t, q = each.transform.translation, each.transform.rotation
-        T = pose(Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix(), [t.x, t.y, t.z])
-        found.append(FramePose(each.header.frame_id, each.child_frame_id, T))
+        turn, shift = np.array([q.x, q.y, q.z, q.w]), np.array([t.x, t.y, t.z])
+        frames = each.header.frame_id.strip("/"), each.child_frame_id.strip("/")
+        if not (np.isfinite(shift).all() and abs(np.linalg.norm(turn) - 1) < 0.1):
+            raise VergenceError(
+                f"{where}: the pose of {frames[1]!r:.60} in {frames[0]!r:.60} has no rotation: its "
+                f"quaternion is {turn.tolist()}."
+            )
+        found.append(FramePose(*frames, pose(Rotation.from_quat(turn).as_matrix(), shift)))
     return tuple(found)

@@ -2,70 +2,111 @@
 
 from __future__ import annotations
 
-from typing import Any
+from io import BytesIO
+from typing import Any, cast
 
 import cv2
 import numpy as np
+from PIL import Image
 
+from vergence.data.dataset import IMAGE_FORMATS
 from vergence.errors import VergenceError, explain
-from vergence.geometry.camera import Camera
+from vergence.geometry.camera import MAX_IMAGE_AREA_PX, Camera, is_image_size
 from vergence.geometry.lens import COEFFICIENTS
 from vergence.interchange.ros import LENS_MODELS
 
-_ENCODINGS: dict[str, tuple[type, int, int | None]] = {
-    "mono8": (np.uint8, 1, None),
-    "8UC1": (np.uint8, 1, None),
-    "mono16": (np.uint16, 1, None),
-    "16UC1": (np.uint16, 1, None),
-    "rgb8": (np.uint8, 3, None),
-    "8UC3": (np.uint8, 3, cv2.COLOR_BGR2RGB),
-    "bgr8": (np.uint8, 3, cv2.COLOR_BGR2RGB),
-    "rgba8": (np.uint8, 4, cv2.COLOR_RGBA2RGB),
-    "bgra8": (np.uint8, 4, cv2.COLOR_BGRA2RGB),
+_ENCODINGS: dict[str, tuple[str, int, int | None]] = {
+    "mono8": ("u1", 1, None),
+    "8UC1": ("u1", 1, None),
+    "mono16": ("u2", 1, None),
+    "16UC1": ("u2", 1, None),
+    "rgb8": ("u1", 3, None),
+    "rgb16": ("u2", 3, None),
+    "bgr8": ("u1", 3, cv2.COLOR_BGR2RGB),
+    "8UC3": ("u1", 3, cv2.COLOR_BGR2RGB),
+    "bgr16": ("u2", 3, cv2.COLOR_BGR2RGB),
+    "rgba8": ("u1", 4, cv2.COLOR_RGBA2RGB),
+    "bgra8": ("u1", 4, cv2.COLOR_BGRA2RGB),
+    "8UC4": ("u1", 4, cv2.COLOR_BGRA2RGB),
     # ROS names the first pixels of the first row; OpenCV those of the second row from the second.
-    "bayer_rggb8": (np.uint8, 1, cv2.COLOR_BayerBG2RGB),
-    "bayer_bggr8": (np.uint8, 1, cv2.COLOR_BayerRG2RGB),
-    "bayer_gbrg8": (np.uint8, 1, cv2.COLOR_BayerGR2RGB),
-    "bayer_grbg8": (np.uint8, 1, cv2.COLOR_BayerGB2RGB),
-    "yuv422": (np.uint8, 2, cv2.COLOR_YUV2RGB_UYVY),
-    "uyvy": (np.uint8, 2, cv2.COLOR_YUV2RGB_UYVY),
-    "yuv422_yuy2": (np.uint8, 2, cv2.COLOR_YUV2RGB_YUY2),
-    "yuyv": (np.uint8, 2, cv2.COLOR_YUV2RGB_YUY2),
+    "bayer_rggb8": ("u1", 1, cv2.COLOR_BayerBG2RGB),
+    "bayer_bggr8": ("u1", 1, cv2.COLOR_BayerRG2RGB),
+    "bayer_gbrg8": ("u1", 1, cv2.COLOR_BayerGR2RGB),
+    "bayer_grbg8": ("u1", 1, cv2.COLOR_BayerGB2RGB),
+    "bayer_rggb16": ("u2", 1, cv2.COLOR_BayerBG2RGB),
+    "bayer_bggr16": ("u2", 1, cv2.COLOR_BayerRG2RGB),
+    "bayer_gbrg16": ("u2", 1, cv2.COLOR_BayerGR2RGB),
+    "bayer_grbg16": ("u2", 1, cv2.COLOR_BayerGB2RGB),
+    "yuv422": ("u1", 2, cv2.COLOR_YUV2RGB_UYVY),
+    "uyvy": ("u1", 2, cv2.COLOR_YUV2RGB_UYVY),
+    "yuv422_yuy2": ("u1", 2, cv2.COLOR_YUV2RGB_YUY2),
+    "yuyv": ("u1", 2, cv2.COLOR_YUV2RGB_YUY2),
 }
 """Type, channels and conversion by name of the encoding."""
 
 
 def raw_image(message: Any, where: str) -> np.ndarray:
-    """Decode an Image; VergenceError for an unknown encoding or missing bytes."""
+    """Decode an Image; VergenceError for an unknown encoding, missing bytes or too many pixels."""
     if message.encoding not in _ENCODINGS:
         raise VergenceError(
             f"{where} has images in the encoding {message.encoding!r:.40}; known are "
             f"{', '.join(_ENCODINGS)}."
         )
-    dtype, channels, conversion = _ENCODINGS[message.encoding]
+    kind, channels, conversion = _ENCODINGS[message.encoding]
+    dtype = np.dtype(kind).newbyteorder(">" if message.is_bigendian else "<")
     height, width, step = message.height, message.width, message.step
-    size = np.dtype(dtype).itemsize * channels * width
+    row_bytes = dtype.itemsize * channels * width
     data = np.asarray(message.data, np.uint8)
-    if step < size or len(data) < step * (height - 1) + size:
+    _check_size(width, height, where)
+    if step < row_bytes or len(data) < step * (height - 1) + row_bytes:
         raise VergenceError(
             f"{where} has an image of {width} x {height} pixels and {len(data)} bytes in rows of "
-            f"{step}; {message.encoding} needs {size} bytes a row."
+            f"{step}; {message.encoding} needs {row_bytes} bytes a row."
         )
-    rows = np.lib.stride_tricks.as_strided(data, (height, size), (step, 1))
+    rows = np.lib.stride_tricks.as_strided(data, (height, row_bytes), (step, 1))
     image = np.ascontiguousarray(rows).view(dtype).reshape(height, width, channels)
-    if message.is_bigendian and dtype is np.uint16:
-        image = image.byteswap()
+    image = image.astype(kind, copy=False)
     image = image[:, :, 0] if channels == 1 else image
-    return image if conversion is None else cv2.cvtColor(image, conversion)
+    try:
+        return image if conversion is None else cv2.cvtColor(image, conversion)
+    except cv2.error:
+        raise VergenceError(
+            f"{where} has an image of {width} x {height} pixels, a size that {message.encoding} "
+            "cannot have."
+        ) from None
 
 
 def compressed_image(message: Any, where: str) -> np.ndarray:
-    """Decode a CompressedImage; VergenceError if it is damaged."""
-    data = np.frombuffer(bytes(message.data), np.uint8)
-    image = cv2.imdecode(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR) if len(data) else None
+    """Decode a CompressedImage; VergenceError if it is damaged or has too many pixels.
+
+    Its format is that of the file, or as image_transport writes it: "rgb8; jpeg compressed bgr8".
+    """
+    data = np.asarray(message.data, np.uint8)
+    sent, _, stored = message.format.partition(";")
+    try:
+        with Image.open(BytesIO(data), formats=IMAGE_FORMATS) as header:
+            _check_size(*header.size, where)
+    except VergenceError:
+        raise
+    except Exception:  # PIL raises errors of many kinds for damaged files
+        image = None
+    else:
+        flags = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION
+        image = cv2.imdecode(data, flags)
     if image is None:
-        raise VergenceError(f"{where} has a damaged image of format {message.format!r:.40}.")
-    return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+        raise VergenceError(f"{where} has a damaged image of format {message.format!r:.60}.")
+    if image.ndim == 2:
+        mosaic = sent.strip().startswith("bayer") and sent.strip() in _ENCODINGS
+        return cv2.cvtColor(image, cast(int, _ENCODINGS[sent.strip()][2])) if mosaic else image
+    return image if "compressed rgb" in stored else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+
+
+def _check_size(width: int, height: int, where: str) -> None:
+    if not is_image_size((width, height)):
+        raise VergenceError(
+            f"{where} has an image of {width} x {height} pixels; images have 1 to "
+            f"{MAX_IMAGE_AREA_PX:,} pixels."
+        )
 
 
 def camera_lens(message: Any, where: str) -> Camera:
@@ -95,6 +136,13 @@ def camera_lens(message: Any, where: str) -> Camera:
     if len(distortion) < needed or not distortion[needed:].any():  # such as those of a thin prism
         distortion = np.pad(distortion, (0, needed))[:needed]
     try:
-        return Camera(*size.tolist(), matrix, distortion, LENS_MODELS[name])
+        width, height = size.tolist()
+        return Camera(
+            width=width,
+            height=height,
+            matrix=matrix,
+            distortion=distortion,
+            model=LENS_MODELS[name],
+        )
     except ValueError as error:
         raise VergenceError(f"{where} has an impossible lens: {explain(error)}.") from None
