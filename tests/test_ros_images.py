@@ -138,7 +138,7 @@ def compressed(image: np.ndarray, format: str, suffix: str = ".png") -> np.ndarr
 @pytest.mark.parametrize("data", [b"", b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff\xe0" + bytes(99)])
 def test_a_damaged_compressed_image_is_refused(data: bytes):
     message = SimpleNamespace(format="jpeg", data=np.frombuffer(data, np.uint8))
-    with pytest.raises(VergenceError, match="damaged image of format 'jpeg'"):
+    with pytest.raises(VergenceError, match="image of format 'jpeg' that is damaged"):
         compressed_image(message, "here")
 
 

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from io import BytesIO
-from typing import Any, cast
+from typing import Any
 
 import cv2
 import numpy as np
-from PIL import Image
 
-from vergence.data.dataset import IMAGE_FORMATS
+from vergence.data.images import decode_image
 from vergence.errors import VergenceError, explain
 from vergence.geometry.camera import MAX_IMAGE_AREA_PX, Camera, is_image_size
 from vergence.geometry.lens import COEFFICIENTS
@@ -81,24 +79,17 @@ def compressed_image(message: Any, where: str) -> np.ndarray:
 
     Its format is that of the file, or as image_transport writes it: "rgb8; jpeg compressed bgr8".
     """
-    data = np.asarray(message.data, np.uint8)
-    sent, _, stored = message.format.partition(";")
-    try:
-        with Image.open(BytesIO(data), formats=IMAGE_FORMATS) as header:
-            _check_size(*header.size, where)
-    except VergenceError:
-        raise
-    except Exception:  # PIL raises errors of many kinds for damaged files
-        image = None
-    else:
-        flags = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION
-        image = cv2.imdecode(data, flags)
+    sent, _, stored = (part.strip() for part in message.format.partition(";"))
+    image = decode_image(np.asarray(message.data, np.uint8).tobytes())
     if image is None:
-        raise VergenceError(f"{where} has a damaged image of format {message.format!r:.60}.")
+        raise VergenceError(
+            f"{where} has an image of format {message.format!r:.60} that is damaged, or far too "
+            "large."
+        )
     if image.ndim == 2:
-        mosaic = sent.strip().startswith("bayer") and sent.strip() in _ENCODINGS
-        return cv2.cvtColor(image, cast(int, _ENCODINGS[sent.strip()][2])) if mosaic else image
-    return image if "compressed rgb" in stored else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+        mosaic = _ENCODINGS[sent][2] if sent.startswith("bayer") and sent in _ENCODINGS else None
+        return image if mosaic is None else cv2.cvtColor(image, mosaic)
+    return image[..., ::-1] if "compressed rgb" in stored else image
 
 
 def _check_size(width: int, height: int, where: str) -> None:
