@@ -207,7 +207,7 @@ def head_and_board(
         found = calibrate(data, progress=progress)
         if found.accuracy.void:
             raise VergenceError(f"The calibration from {source} is VOID: {found.accuracy.void[0]}")
-        return found.head, shown or data.description.board
+        return found.head, shown or data.board
     head = load_head(source)
     if shown is None:
         raise VergenceError(

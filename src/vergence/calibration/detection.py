@@ -93,7 +93,7 @@ def detect_target(dataset: Dataset, *, progress: Progress = silent) -> Observati
     found.sort(key=lambda each: order[each.camera, each.row])
     found = _without_repeats(dataset, found)
     _check_board(dataset, found, all_images=True)
-    board, cameras = dataset.description.board, dataset.description.cameras
+    board, cameras = dataset.board, dataset.description.cameras
     shape = (len(dataset), board.columns * board.rows, 2)
     corners = {name: np.full(shape, np.nan) for name in dataset.files}
     for each in found:
@@ -133,7 +133,7 @@ def _detect(dataset: Dataset, camera: str, row: int) -> _Detection:
         return _Detection(camera, row, None, DAMAGED)
     digest = hashlib.blake2b(image.tobytes(), digest_size=16).digest()
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-    return _Detection(camera, row, *detect_or_explain(grey, dataset.description.board), digest)
+    return _Detection(camera, row, *detect_or_explain(grey, dataset.board), digest)
 
 
 def detect_or_explain(grey: np.ndarray, board: Board) -> tuple[Array | None, str]:
@@ -209,7 +209,7 @@ def _check_board(dataset: Dataset, found: list[_Detection], *, all_images: bool)
     A few views of markers of another board agree with the description by chance. Of the first
     images at least half have to show another board.
     """
-    board = dataset.description.board
+    board = dataset.board
     missed = [each for each in found if each.corners is None]
     if all_images:
         for camera in dataset.files:
@@ -231,7 +231,7 @@ def _check_board(dataset: Dataset, found: list[_Detection], *, all_images: bool)
 
 def _shown(dataset: Dataset, found: list[_Detection], where: str) -> str:
     """Return the sentence for a board that no image shows, or few, with the usual reason."""
-    board = dataset.description.board
+    board = dataset.board
     reasons = [each.reason for each in found if each.corners is None]
     seen = len(found) - len(reasons)
     who = f"Only {seen} of {len(found)} images" if seen else "No image"

@@ -13,12 +13,13 @@ import cv2
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.data.description import FRAMES, Description
-from vergence.data.images import MAX_IMAGE_BYTES, UNREADABLE, decode_image, image_size
+from vergence.data.description import DESCRIPTION, FRAMES, Description
+from vergence.data.images import MAX_IMAGE_BYTES, UNREADABLE, decode_image, image_size, to_8_bits
 from vergence.data.timing import Timing, moved_readings
 from vergence.errors import VergenceError, counted
 from vergence.files import read_bytes
 from vergence.findings import Finding
+from vergence.geometry.board import Board
 from vergence.geometry.camera import check_image_fits
 from vergence.geometry.head import HeadCalibration, pair_names
 
@@ -79,6 +80,16 @@ class Dataset:
     def __repr__(self) -> str:
         return f"<Dataset {self.folder}: {counted(len(self), 'frame')} of {', '.join(self.files)}>"
 
+    @property
+    def board(self) -> Board:
+        """The board that the images show; VergenceError if none is described."""
+        if self.description.board is None:
+            raise VergenceError(
+                f"{self.folder / DESCRIPTION} describes no board, so that the recording serves "
+                "self-calibration and depth only."
+            )
+        return self.description.board
+
     def image(self, camera: str, row: int) -> np.ndarray | None:
         """Read an image (H, W, 3) uint8, RGB; None where the camera has none in this row.
 
@@ -114,10 +125,7 @@ class Dataset:
             return None
         if image.ndim == 2:
             image = cv2.cvtColor(image, cv2.COLOR_GRAY2RGB)
-        if image.dtype == np.uint8:
-            return image
-        bits = stated.bits or max(8, int(image.max()).bit_length())
-        return np.minimum(np.right_shift(image, bits - 8), 255).astype(np.uint8)
+        return to_8_bits(image, stated.bits)
 
     def frame(self, row: int) -> Frame:
         """Read a row with all its images; errors as in `image`."""

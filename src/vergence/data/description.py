@@ -97,7 +97,8 @@ class Description:
     """Content of dataset.json: cameras, board and joints."""
 
     cameras: dict[str, DatasetCamera]
-    board: Annotated[Board, Field(discriminator="kind")]
+    board: Annotated[Board, Field(discriminator="kind")] | None = None
+    """None: a recording without a board, for self-calibration and depth."""
     joints: dict[str, DatasetJoint] = field(default_factory=dict)
     """Pan and tilt of each eye that has cameras, unless `kinematics` or poses are given; optionally
     the neck's."""
@@ -129,18 +130,8 @@ class Description:
                     f"cameras.{name}.eye is {camera.eye!r}, but {name} sits in the {side} eye; "
                     "perhaps left and right are exchanged"
                 )
-        board = self.board
-        if board.square_m > MAX_SQUARE_M:
-            yield (
-                f"board.square_m is {board.square_m} m; the side of a square is given in metres, "
-                "such as 0.03"
-            )
-        sides = board.columns, board.rows
-        if board.kind == "chessboard" and not 3 <= min(sides) <= max(sides) <= 100:
-            yield (
-                "board.columns and board.rows count inner corners, 3 to 100 each; found "
-                f"{sides[0]} x {sides[1]}"
-            )
+        if self.board is not None:
+            yield from _board_contradictions(self.board)
         joints = *EYE_JOINTS, *NECK_JOINTS
         for name in self.joints:
             if name not in joints:
@@ -226,6 +217,21 @@ class Description:
         joints = dict.fromkeys(joint.column for joint in self.joints.values())
         fixed = [TIME, JOINT_TIME, PLACEMENT, MOVING]
         return [*fixed, *joints, *self.readings, *self.pose_columns, *self.cameras]
+
+
+def _board_contradictions(board: Board) -> Iterator[str]:
+    """Check the size of a board and the number of its corners."""
+    if board.square_m > MAX_SQUARE_M:
+        yield (
+            f"board.square_m is {board.square_m} m; the side of a square is given in metres, "
+            "such as 0.03"
+        )
+    sides = board.columns, board.rows
+    if board.kind == "chessboard" and not 3 <= min(sides) <= max(sides) <= 100:
+        yield (
+            "board.columns and board.rows count inner corners, 3 to 100 each; found "
+            f"{sides[0]} x {sides[1]}"
+        )
 
 
 def _pan_and_tilt(stated: Mapping[str, DatasetJoint]) -> Kinematics:

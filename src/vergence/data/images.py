@@ -47,3 +47,11 @@ def decode_image(content: bytes) -> np.ndarray | None:
     if image is None or image.shape[1::-1] != size or image.dtype not in (np.uint8, np.uint16):
         return None
     return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+
+
+def to_8_bits(image: np.ndarray, bits: int | None = None) -> np.ndarray:
+    """Convert an image of uint8 or uint16 to uint8; None: as many bits as its brightest pixel."""
+    if image.dtype == np.uint8:
+        return image
+    bits = bits or max(8, int(image.max()).bit_length())
+    return np.minimum(np.right_shift(image, bits - 8), 255).astype(np.uint8)

@@ -39,10 +39,10 @@ from vergence.geometry.parameters import named_columns
 from vergence.geometry.se3 import POSE, boxminus, hat
 from vergence.progress import Progress, silent
 from vergence.recordings.formats import open_recording
-from vergence.recordings.import_recording import needed_channels
+from vergence.recordings.mapped_scan import on_the_clock, scan_mapped
 from vergence.recordings.moments import readings_at
 from vergence.recordings.recording_map import RecordingMap, describe
-from vergence.recordings.scan import Scan, scan
+from vergence.recordings.scan import Scan
 
 _STEP_S = 1e-3
 """Half of the time [s] between readings of which the difference gives the rate; joints are read
@@ -121,7 +121,7 @@ def recording_poses(
     readings are not those of the head.
     """
     with open_recording(path) as recording:
-        scanned = scan(recording, needed_channels(recording, mapped), progress=progress)
+        scanned, _ = scan_mapped(on_the_clock(recording, mapped), mapped, progress=progress)
     return scanned_poses(scanned, mapped, head, str(path), progress=progress)
 
 

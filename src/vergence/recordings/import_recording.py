@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -14,25 +14,30 @@ import cv2
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.data.dataset import Frame
-from vergence.data.description import Description
+from vergence.calibration.other_boards import other_board
+from vergence.data.dataset import LEAST_MOVING, MAX_GAP_S, Frame
+from vergence.data.images import to_8_bits
 from vergence.data.writer import DatasetRow, write_dataset
-from vergence.errors import VergenceError
+from vergence.errors import VergenceError, counted
 from vergence.files import check_new
-from vergence.findings import Finding
+from vergence.findings import Finding, note
 from vergence.geometry.board import Board
 from vergence.progress import Progress, silent
 from vergence.recordings.board_placements import number_placements
 from vergence.recordings.chosen_images import read_images
+from vergence.recordings.clocks import check_stamps
 from vergence.recordings.formats import open_recording
-from vergence.recordings.frame_choice import choose_frames
-from vergence.recordings.moments import find_moments
-from vergence.recordings.recording import Recording
-from vergence.recordings.recording_map import RecordingMap, describe
-from vergence.recordings.scan import scan
+from vergence.recordings.frame_choice import ChosenFrames, choose_frames
+from vergence.recordings.mapped_scan import on_the_clock, scan_mapped
+from vergence.recordings.moments import STILL, Moments, find_moments
+from vergence.recordings.recording_map import RecordingMap
 from vergence.vision.board_detection import detect_board
+from vergence.vision.exposure import grey_levels
 
+_ImagesOf = Callable[[np.ndarray], Iterator[dict[str, np.ndarray]]]
 _TASK = "finding the board"
+_PROBES = 4
+"""Frames in which another board is sought where none shows the one of the map."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +48,7 @@ class ImportedRecording:
     """At rest and in motion."""
     moving: int
     placements: int
+    """Places of the board in the head; 0 without a board."""
     findings: tuple[Finding, ...] = ()
 
 
@@ -51,19 +57,30 @@ def import_recording(
 ) -> ImportedRecording:
     """Write the frames of a recording that show the board into a new dataset.
 
-    VergenceError if the recording is damaged, does not have what the map names, or shows no board.
+    Without a board in the map all frames are written. VergenceError if the recording is damaged,
+    does not have what the map names, or shows no board.
     """
     check_new(Path(out))
-    with open_recording(path) as recording:
-        scanned = scan(recording, needed_channels(recording, mapped), progress=progress)
-        sizes = {name: track.size for name, track in scanned.images.items()}
-        description = describe(mapped, sizes, scanned.lenses)
+    with open_recording(path) as opened:
+        recording = on_the_clock(opened, mapped)
+        scanned, description = scan_mapped(recording, mapped, progress=progress)
+        findings = check_stamps(scanned, mapped, description)
         moments = find_moments(scanned, mapped, description)
-        chosen = choose_frames(moments, mapped.frames)
+        findings = (*findings, *_check_readings(moments, mapped))
         channels = {name: source.images for name, source in mapped.cameras.items()}
         again = partial(read_images, recording, scanned.images, channels, moments)
-        corners = _corners(description, again(chosen.rows), len(chosen.rows), progress)
-        placement = number_placements(description, moments, chosen, corners)
+        if description.board is None:
+            chosen, placement = _all_frames(moments), None
+        else:
+            chosen = choose_frames(moments, mapped.frames)
+            chosen = _take(chosen, moments.known[chosen.rows])
+            corners = _corners(description.board, channels, again, chosen.rows, progress)
+            seen = np.any([np.isfinite(uv).any(axis=(1, 2)) for uv in corners.values()], axis=0)
+            if not seen.any():
+                raise VergenceError(f"{path}: {_why_no_board(description.board, again, chosen)}.")
+            placement = number_placements(description, moments, chosen, corners)
+            shown = _with_board(moments, chosen, seen & (placement >= 0))
+            chosen, placement = _take(chosen, shown), placement[shown]
 
         def rows() -> Iterator[DatasetRow]:
             for k, images in enumerate(again(chosen.rows)):
@@ -76,43 +93,90 @@ def import_recording(
                     neck_angles=moments.neck_angles[row],
                     images=images,
                 )
-                yield DatasetRow(frame, int(placement[k]), bool(chosen.moving[k]))
+                yield DatasetRow(
+                    frame,
+                    placement=None if placement is None else int(placement[k]),
+                    moving=bool(chosen.moving[k]),
+                    T_base_eye=None if moments.T_base_eye is None else moments.T_base_eye[row],
+                )
+                progress("writing the dataset", k + 1, len(chosen.rows))
 
         write_dataset(out, description, rows())
-    return ImportedRecording(len(placement), int(chosen.moving.sum()), len(np.unique(placement)))
+    places = 0 if placement is None else len(np.unique(placement))
+    return ImportedRecording(len(chosen.rows), int(chosen.moving.sum()), places, findings)
 
 
-def needed_channels(recording: Recording, mapped: RecordingMap) -> list[str]:
-    """List the channels that a map needs; VergenceError for one that is missing."""
-    joints = [name for name, each in recording.channels.items() if each.kind == "joints"]
-    poses = [name for name, each in recording.channels.items() if each.kind == "poses"]
-    named = [source.images for source in mapped.cameras.values()]
-    named += [source.lens for source in mapped.cameras.values() if source.lens]
-    for name in named:
-        if name not in recording.channels:
-            raise VergenceError(
-                f"{recording.path} has no channel {name}, which the map names; it has "
-                f"{', '.join(recording.channels)}."
-            )
-    return [*named, *joints, *(poses if mapped.poses else ())]
+def _check_readings(moments: Moments, mapped: RecordingMap) -> Iterator[Finding]:
+    """Note images without readings; VergenceError if all are."""
+    missing = int((~moments.known).sum())
+    if missing == len(moments):
+        raise VergenceError(
+            f"No image has joint readings before and after it within {mapped.max_gap_s:g} s; set "
+            "max_gap_s in the map to the longest time between two readings."
+        )
+    if missing:
+        yield note(
+            "no-readings",
+            f"{counted(missing, 'moment')} of {len(moments)} have images but no joint readings "
+            f"around them within {mapped.max_gap_s:g} s, and were left out.",
+        )
+
+
+def _take(chosen: ChosenFrames, kept: np.ndarray) -> ChosenFrames:
+    return replace(chosen, rows=chosen.rows[kept], moving=chosen.moving[kept])
+
+
+def _all_frames(moments: Moments) -> ChosenFrames:
+    """Choose all moments with readings and images of all cameras; those in motion if there are."""
+    whole = moments.known & np.all([rows >= 0 for rows in moments.images.values()], axis=0)
+    rows = np.flatnonzero(whole)
+    if not len(rows):
+        raise VergenceError(
+            "The cameras of the map have no images of one moment: their stamps are of other times."
+        )
+    posture = moments.eye_angles if moments.T_base_eye is None else moments.T_base_eye
+    steps = np.abs(np.diff(posture[rows].reshape(len(rows), -1), axis=0)).max(axis=1, initial=0.0)
+    turns = np.concatenate([[False], steps > STILL])
+    chosen = ChosenFrames(rows, turns | np.append(turns[1:], False))
+    return _take(chosen, _with_board(moments, chosen, chosen.moving if turns.any() else ~turns))
+
+
+def _with_board(moments: Moments, chosen: ChosenFrames, seen: np.ndarray) -> np.ndarray:
+    """Select the frames (F,) at rest that show the board, and motions that do.
+
+    A motion goes from the first frame that shows the board to the last one, and has LEAST_MOVING
+    frames in sequence or more.
+    """
+    kept = seen.copy()
+    late = np.diff(moments.time_ns[chosen.rows], prepend=-(10**18)) > MAX_GAP_S * 1e9
+    begins = chosen.moving & (late | ~np.concatenate([[False], chosen.moving[:-1]]))
+    run = np.cumsum(begins) * chosen.moving
+    for number in range(1, run.max(initial=0) + 1):
+        rows = np.flatnonzero(run == number)
+        shown = rows[seen[rows]]
+        kept[rows] = False
+        if len(shown) and shown[-1] - shown[0] + 1 >= LEAST_MOVING:
+            kept[shown[0] : shown[-1] + 1] = True
+    return kept
 
 
 def _corners(
-    description: Description,
-    images_of: Iterable[Mapping[str, np.ndarray]],
-    count: int,
+    board: Board,
+    cameras: Iterable[str],
+    images_of: _ImagesOf,
+    rows: np.ndarray,
     progress: Progress,
 ) -> dict[str, Array]:
     """Find the board in the images of chosen frames: by camera (F, K, 2), NaN where not seen."""
-    shape = count, description.board.columns * description.board.rows, 2
-    found = {name: np.full(shape, np.nan) for name in description.cameras}
+    count = len(rows)
+    found = {name: np.full((count, board.columns * board.rows, 2), np.nan) for name in cameras}
     progress(_TASK, 0, count)
     waiting: deque[tuple[int, str, Future[Array | None]]] = deque()
     workers = os.cpu_count() or 1
     with ThreadPoolExecutor(workers) as pool:
-        for k, images in enumerate(images_of):
+        for k, images in enumerate(images_of(rows)):
             for name, image in images.items():
-                waiting.append((k, name, pool.submit(_detect, image, description.board)))
+                waiting.append((k, name, pool.submit(_detect, image, board)))
             while len(waiting) > (4 * workers if k < count - 1 else 0):  # bounds the memory
                 row, camera, corners = waiting.popleft()
                 if (seen := corners.result()) is not None:
@@ -122,9 +186,18 @@ def _corners(
 
 
 def _detect(image: np.ndarray, board: Board) -> Array | None:
-    if image.dtype == np.uint16:
-        image = image >> max(0, int(image.max()).bit_length() - 8)
     try:
-        return detect_board(image.astype(np.uint8), board)
+        return detect_board(to_8_bits(image), board)
     except cv2.error:  # images of a few pixels, for example
         return None
+
+
+def _why_no_board(board: Board, images_of: _ImagesOf, chosen: ChosenFrames) -> str:
+    """Say what a few of the frames show in place of the board."""
+    rows = chosen.rows[:: max(1, len(chosen.rows) // _PROBES)][:_PROBES]
+    images = [grey_levels(to_8_bits(each)) for frame in images_of(rows) for each in frame.values()]
+    instead = other_board(images, board)
+    return (
+        f"none of {counted(len(chosen.rows), 'frame')} shows a {board.kind} of {board.columns} x "
+        f"{board.rows} inner corners; {instead or 'check board in the map'}"
+    )

@@ -9,14 +9,21 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.description import Description
+from vergence.errors import VergenceError
 from vergence.geometry.neck import NECK_JOINTS
 from vergence.recordings.interpolation import interpolate
+from vergence.recordings.pose_tracks import eye_poses
 from vergence.recordings.recording_map import RecordingMap
 from vergence.recordings.scan import JointTrack, Scan
 
 SYNC_S = 1e-3
 """Images of several cameras are of one moment if their stamps differ by at most this [s]; eyes that
 turn by 1 rad/s turn by 0.06 degrees meanwhile."""
+STILL = 2e-3
+"""Largest change of a reading [rad], or an element of a pose, between successive moments at rest:
+that of an encoder with steps of 0.1 degrees."""
+JITTER = 1.1
+"""Factor on periods for stamps that vary, as those of USB cameras do."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,34 +40,91 @@ class Moments:
     """(N, r) [rad] in the order of the description's readings; NaN where not known."""
     neck_angles: Array
     """(N, 3) [rad] in the order of NECK_JOINTS; 0 for joints that the map does not name."""
+    T_base_eye: Array | None = None
+    """(N, 2, 4, 4) measured poses of the left and the right eye in their bases [m], NaN where not
+    known, the identity for an eye without cameras; None where joints are read instead."""
+
+    @property
+    def known(self) -> np.ndarray:
+        """Whether the readings, or poses, of each moment (N,) are known."""
+        given = self.eye_angles if self.T_base_eye is None else self.T_base_eye
+        given = np.hstack([given.reshape(len(self), -1), self.neck_angles])
+        return np.asarray(np.isfinite(given).all(axis=1))
 
     def __len__(self) -> int:
         return len(self.time_ns)
 
 
 def find_moments(scanned: Scan, mapped: RecordingMap, description: Description) -> Moments:
-    """Group images of all cameras by their stamps, and interpolate the readings."""
-    stamps, of_camera = {}, {}
-    for name, source in mapped.cameras.items():
-        track = scanned.images[source.images]
-        stamps[name] = track.stamp_ns if mapped.stamps == "header" else track.received_ns
-        of_camera[name] = track
-    every = np.sort(np.concatenate(list(stamps.values())))
-    new = np.diff(every, prepend=every[0] - 10**10) > SYNC_S * 1e9
-    time_ns = every[new]
-    images, change = {}, {}
-    for name, at in stamps.items():
-        row = np.searchsorted(time_ns, at, side="right") - 1
+    """Group images of all cameras by their stamps, and interpolate the readings.
+
+    Cameras need not be synchronised: where the joints are at rest, images of one moment are up to
+    half a period of the images apart. Of images of one camera with one stamp the first counts.
+    """
+    tracks = {name: scanned.images[source.images] for name, source in mapped.cameras.items()}
+    every = np.sort(np.concatenate([track.stamp_ns for track in tracks.values()]))
+    time_ns = every[np.diff(every, prepend=every[0] - 10**10) > SYNC_S * 1e9]
+    images = {}
+    for name, track in tracks.items():
+        row = np.searchsorted(time_ns, track.stamp_ns, side="right") - 1
+        rows, first = np.unique(row, return_index=True)
         images[name] = np.full(len(time_ns), -1)
-        images[name][row] = np.arange(len(at))
-        shown = images[name] >= 0
-        change[name] = np.where(shown, of_camera[name].change[images[name]], np.nan)
+        images[name][rows] = first
     angles = readings_at(scanned, mapped, description, time_ns)
     zero = np.zeros(len(time_ns))
     readings = description.head_kinematics.readings
     eye_angles = np.stack([angles.get(name, zero) for name in readings], axis=-1)
     neck_angles = np.stack([angles.get(name, zero) for name in NECK_JOINTS], axis=-1)
-    return Moments(time_ns, images, change, eye_angles, neck_angles)
+    T_base_eye, posture = None, np.hstack([eye_angles, neck_angles])
+    if mapped.poses:
+        T_base_eye = eye_poses(scanned.poses, mapped.poses, time_ns, max_gap_s=mapped.max_gap_s)
+        posture = np.hstack([T_base_eye.reshape(len(time_ns), -1), neck_angles])
+        eye_angles = np.full_like(eye_angles, np.nan)
+    period_ns = min(_period_ns(track.stamp_ns) for track in tracks.values())
+    kept = _join_at_rest(time_ns, images, posture, period_ns)
+    images = {name: rows[kept] for name, rows in images.items()}
+    change = {
+        name: np.where(rows >= 0, tracks[name].change[rows], np.nan)
+        for name, rows in images.items()
+    }
+    return Moments(
+        time_ns=time_ns[kept],
+        images=images,
+        change=change,
+        eye_angles=eye_angles[kept],
+        neck_angles=neck_angles[kept],
+        T_base_eye=None if T_base_eye is None else T_base_eye[kept],
+    )
+
+
+def _period_ns(stamp_ns: np.ndarray) -> float:
+    """Compute the usual time between images [ns]; 0 for a single one."""
+    steps = np.diff(np.unique(stamp_ns))
+    return float(np.median(steps)) if len(steps) else 0.0
+
+
+def _join_at_rest(
+    time_ns: np.ndarray, images: Mapping[str, np.ndarray], posture: Array, period_ns: float
+) -> np.ndarray:
+    """Move images (N,) by camera into an earlier moment where nothing moves in between.
+
+    Returns (N,) of bool: which moments keep images.
+    """
+    still = np.abs(np.diff(posture, axis=0)).max(axis=1, initial=0.0) <= STILL
+    still = np.concatenate([[False], still, [False]])  # before and after each moment
+    kept, first = np.ones(len(time_ns), bool), 0
+    for k in range(1, len(time_ns)):
+        near = time_ns[k] - time_ns[first] <= 0.5 * JITTER * period_ns
+        both = any(rows[first] >= 0 and rows[k] >= 0 for rows in images.values())
+        # At rest before and after as well, since the eyes may have begun to move.
+        if both or not near or not still[first : k + 2].all():
+            first = k
+            continue
+        for rows in images.values():
+            if rows[k] >= 0:
+                rows[first], rows[k] = rows[k], -1
+        kept[k] = False
+    return kept
 
 
 def readings_at(
@@ -76,9 +140,22 @@ def readings_at(
 
 
 def joint_track(scanned: Scan, column: str) -> JointTrack:
-    """Find the joint that a column names, as `name` or `channel:name`."""
-    return next(
-        track
+    """Find the joint that a column names, as `name` or `channel:name`.
+
+    VergenceError if there is none, or one in several channels.
+    """
+    found = {
+        f"{channel}:{name}": track
         for (channel, name), track in scanned.joints.items()
         if column in (name, f"{channel}:{name}")
-    )
+    }
+    if not found:
+        raise VergenceError(
+            f"The map names a joint {column!r}, of which the recording has no reading."
+        )
+    if len(found) > 1:
+        raise VergenceError(
+            f"The map names a joint {column!r}, which several channels have: write one of "
+            f"{', '.join(found)}."
+        )
+    return next(iter(found.values()))

@@ -74,7 +74,8 @@ class RecordingMap:
     """Content of map.toml."""
 
     cameras: dict[str, CameraSource]
-    board: Annotated[Board, Field(discriminator="kind")]
+    board: Annotated[Board, Field(discriminator="kind")] | None = None
+    """None: no board is shown; the recording serves self-calibration and depth."""
     joints: dict[str, DatasetJoint] = field(default_factory=dict)
     """As in dataset.json; `column` is the name in the recording."""
     kinematics: dict[Side, tuple[EyeJoint, ...]] | None = None
@@ -107,6 +108,9 @@ def describe(
 
     `sizes` [px] and `lenses` are by channel. ValueError if the parts contradict each other.
     """
+    for eye in {source.eye for source in mapped.cameras.values()} if mapped.poses else ():
+        if eye not in mapped.poses:
+            raise ValueError(f"poses.{eye} is missing; that eye has a camera")
     cameras = {
         name: DatasetCamera(
             eye=source.eye,

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import cast
 
 import cv2
@@ -65,14 +66,22 @@ class Scan:
     """By channel: the last one."""
     poses: Mapping[tuple[str, str], PoseTrack]
     """By parent and child."""
+    delay_ns: Mapping[str, int] = field(default_factory=dict)
+    """By channel: the shortest time from a message's stamp to its receipt [ns]."""
 
 
 def scan(
-    recording: Recording, channels: Collection[str] | None = None, *, progress: Progress = silent
+    recording: Recording,
+    channels: Collection[str] | None = None,
+    *,
+    columns: Collection[str] | None = None,
+    frames: Collection[tuple[str, str]] | None = None,
+    progress: Progress = silent,
 ) -> Scan:
     """Read channels of a recording, None: all that can be used, in one pass.
 
-    VergenceError if the recording is damaged.
+    Only joints in `columns`, as `name` or `channel:name`, and poses of `frames`, as parent and
+    child, are kept; None: all. VergenceError if the recording is damaged.
     """
     wanted = {
         name: channel
@@ -83,15 +92,22 @@ def scan(
     images: dict[str, list[tuple[int, int, float]]] = {}
     sizes: dict[str, tuple[int, int]] = {}
     before: dict[str, np.ndarray] = {}
-    joints: dict[tuple[str, str], list[tuple[int, float]]] = {}
+    joints: dict[tuple[str, str], tuple[array[int], array[float]]] = {}
     lenses: dict[str, Camera] = {}
     poses: dict[tuple[str, str], list[tuple[int, Array]]] = {}
+    delays: dict[str, int] = {}
     progress("reading the recording", 0, total)
     for done, message in enumerate(recording.read(list(wanted), None, None), 1):
         content, stamp = message.decode(), message.stamp_ns
+        delay = message.received_ns - stamp
+        delays[message.channel] = min(delay, delays.get(message.channel, delay))
         if isinstance(content, JointSample):
             for name, value in zip(content.names, content.values.tolist(), strict=True):
-                joints.setdefault((message.channel, name), []).append((stamp, value))
+                if columns is None or name in columns or f"{message.channel}:{name}" in columns:
+                    key = message.channel, name
+                    stamps, values = joints.setdefault(key, (array("q"), array("d")))
+                    stamps.append(stamp)
+                    values.append(value)
         elif isinstance(content, Camera):
             lenses[message.channel] = content
         elif isinstance(content, np.ndarray):
@@ -105,20 +121,22 @@ def scan(
         else:
             for each in cast(tuple[FramePose, ...], content):
                 key = each.parent, each.child
-                poses.setdefault(key, []).append((stamp, each.T_parent_child))
+                if frames is None or key in frames:
+                    poses.setdefault(key, []).append((stamp, each.T_parent_child))
         if done % 20 == 0 or done == total:
             progress("reading the recording", done, total)
     return Scan(
         images={name: _image_track(rows, sizes[name]) for name, rows in images.items()},
         joints={
-            name: JointTrack(np.array([t for t, _ in rows]), np.array([v for _, v in rows]))
-            for name, rows in joints.items()
+            name: JointTrack(np.array(stamps), np.array(values))
+            for name, (stamps, values) in joints.items()
         },
         lenses=lenses,
         poses={
             name: PoseTrack(np.array([t for t, _ in rows]), np.array([T for _, T in rows]))
             for name, rows in poses.items()
         },
+        delay_ns=delays,
     )
 
 
