@@ -13,7 +13,9 @@ import vergence as vg
 from vergence.cli.options import (
     EXPERIMENT,
     IDEAL,
+    NO_BAG,
     PAPER,
+    BagArguments,
     ExperimentArguments,
     ExperimentOptions,
     Flag,
@@ -97,6 +99,7 @@ def record(
     target: Literal["chessboard", "charuco"] = "chessboard",
     moving: int = 0,
     kinematics: Optional[Path] = None,
+    bag: BagArguments = NO_BAG,
 ) -> Report:
     """Record a dataset on the twin, with its ground truth in truth.json.
 
@@ -110,10 +113,15 @@ def record(
             or 3 or more.
         kinematics: JSON file with the eyes' joints, `kinematics` and `readings` as in dataset.json;
             default: pan, then tilt.
+        bag: Options of a bag.
     """
+    from vergence.twin.bag import BagSettings
     from vergence.twin.profile import load_profile
     from vergence.twin.record import record as record_dataset
 
+    settings = None
+    if bag.bag is not None:
+        settings = BagSettings(bag.bag, bag.joint_rate, bag.missing, bag.camera_info)
     with progress_bars() as progress:
         images = record_dataset(
             out,
@@ -125,11 +133,13 @@ def record(
             target=target,
             moving=moving,
             kinematics=kinematics,
+            bag=settings,
             progress=progress,
         )
     typed = invocation("vergence", "calibrate", out, "--out", "calibration.json")
+    also = "" if settings is None else f", {settings.file_name}"
     files = (
-        f"Wrote {images} images, dataset.json, frames.csv and truth.json to {out}.\n"
+        f"Wrote {images} images, dataset.json, frames.csv{also} and truth.json to {out}.\n"
         f"To calibrate: {typed}"
     )
     return Report("Dataset", (), None, files=files)

@@ -48,9 +48,24 @@ class ExperimentOptions(TwinOptions):
     """JSON file of the summary."""
 
 
+@dataclass(frozen=True)
+class BagOptions:
+    """Options of a bag that is recorded beside a dataset."""
+
+    bag: Optional[Literal["ros1", "ros2", "mcap"]] = None
+    """Bag of ROS 1, or of ROS 2 in SQLite or MCAP, that is written too; default: none."""
+    joint_rate: float = 0.0
+    """Rate of the joint readings in the bag [Hz]; 0: those of the dataset."""
+    missing: float = 0.0
+    """Part of the joint messages that is lost, from 0 to less than 1."""
+    camera_info: Flag = False
+    """Write the true lenses into the bag."""
+
+
 IDEAL, PAPER = TwinOptions(), TwinOptions(profile="paper")
-EXPERIMENT = ExperimentOptions()
+EXPERIMENT, NO_BAG = ExperimentOptions(), BagOptions()
 TwinArguments = Annotated[TwinOptions, tyro.conf.arg(name="")]
+BagArguments = Annotated[BagOptions, tyro.conf.arg(name="")]
 ExperimentArguments = Annotated[ExperimentOptions, tyro.conf.arg(name="")]
 
 DATASET_FILES = ("dataset.json", "frames.csv")

@@ -84,6 +84,8 @@ class Twin:
         self._data = mujoco.MjData(self.model)
         self._seen = mujoco.MjData(self.model)  # the pose at which pictures are taken
         self._seed = seed
+        self.watch: Callable[[float, Array], None] | None = None
+        """Called with the time [s] and the posture (j,) [rad] on the sensors' side every 5 ms."""
         names = [*NECK_JOINTS, *chain.from_iterable(hinges(self.truth.kinematics).values())]
         self._addresses = [self.model.joint(name).qposadr[0] for name in names]
         self._actuators = [self.model.actuator(name).id for name in names]
@@ -149,6 +151,8 @@ class Twin:
             for history, now in latest:
                 history[:-1] = history[1:]
                 history[-1] = now
+            if self.watch is not None:
+                self.watch(self.time_s, sensed)
 
     def settle(self, command: Array, seconds: float = 0.6) -> None:
         """Go to a posture (j,) and wait until the motion has died away."""

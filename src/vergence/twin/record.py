@@ -21,6 +21,7 @@ from vergence.data.description import (
     Description,
     EyeJoint,
 )
+from vergence.data.reader import load_dataset
 from vergence.data.writer import DatasetRow, write_dataset
 from vergence.errors import VergenceError
 from vergence.files import as_json, check_new, parse_json, read_parsed, validated
@@ -30,6 +31,7 @@ from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Side
 from vergence.geometry.neck import NECK_JOINTS
 from vergence.progress import Progress, silent
+from vergence.twin.bag import BagSettings, SensorLog, write_twin_bag
 from vergence.twin.calibration_sequence import (
     BOARD,
     NARROW_VIEWS,
@@ -81,14 +83,16 @@ def record(
     target: Target = "chessboard",
     moving: int = 0,
     kinematics: Path | None = None,
+    bag: BagSettings | None = None,
     progress: Progress = silent,
 ) -> int:
     """Record a dataset with its truth into a new or empty folder; return the number of images.
 
     `frames` are taken with the eyes at rest. `moving` frames follow, at RATE_HZ, with moving eyes
     and the board at rest. `kinematics` is a JSON file with the twin's `kinematics` and `readings`
-    as in dataset.json; None: pan, then tilt. Progress is called after each frame. VergenceError if
-    an argument is out of range, or the folder cannot be written.
+    as in dataset.json; None: pan, then tilt. `bag` asks for a bag with the same images in the
+    folder. Progress is called after each frame. VergenceError if an argument is out of range, or
+    the folder cannot be written.
     """
     if not LEAST_FRAMES <= frames <= MOST_FRAMES:
         raise VergenceError(
@@ -140,7 +144,13 @@ def record(
             )
             (folder / TRUTH).write_text(as_json(truth), encoding="utf-8")
 
+        log = SensorLog()
+        if bag is not None and bag.joint_rate_hz:
+            twin.watch = log
         write_dataset(out, description, rows(), beside=write_truth)
+        if bag is not None:
+            data, sensors = load_dataset(out), profile.joints
+            write_twin_bag(data, log, twin.truth, bag, joints=sensors, seed=seed, progress=progress)
     return images
 
 
