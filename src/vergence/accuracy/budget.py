@@ -27,7 +27,7 @@ from vergence.geometry.head import (
     stated_covariance,
     states_covariance,
 )
-from vergence.geometry.kinematics import EYE_JOINTS
+from vergence.geometry.kinematics import EYE_JOINTS, check_moves
 from vergence.geometry.parameters import is_gain, named_columns
 from vergence.geometry.projection import project_point
 from vergence.stereo.linearised import by_head_parameters, linearised, pair_parameters
@@ -254,6 +254,7 @@ def motion_budgets(
             "A budget says what errors of joint readings add; this head was calibrated with "
             "measured eye poses."
         )
+    check_moves(head.kinematics, "A budget over a motion")
     if not sources and not states_covariance(head):
         raise VergenceError(
             "A budget needs sources of errors: give a calibration that states its accuracy, an "

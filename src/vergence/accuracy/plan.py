@@ -32,7 +32,7 @@ from vergence.data.reader import load_dataset
 from vergence.errors import VergenceError, check_seed
 from vergence.geometry.board import Board, Chessboard
 from vergence.geometry.head import HeadCalibration, load_head, pair_names, pixel_stds, reading_stds
-from vergence.geometry.kinematics import Kinematics
+from vergence.geometry.kinematics import Kinematics, check_moves
 from vergence.progress import Progress, silent
 
 LIMIT_RAD = float(np.radians(20.0))
@@ -86,6 +86,7 @@ def plan(
             workspace is out of the eyes' reach, or more views than candidates are asked for.
     """
     check_seed(seed)
+    check_moves(head.kinematics, "A plan of views")
     if not distances_m or not min(distances_m) > 0:
         raise VergenceError(f"Distances of points are above 0 m, found {distances_m}.")
     places, gazes = CANDIDATES

@@ -42,7 +42,13 @@ from vergence.estimation.residual import OUTLIER, Levels, Residual
 from vergence.estimation.variables import Variables
 from vergence.findings import Finding
 from vergence.geometry.camera import intrinsics_names
-from vergence.geometry.head import HeadCalibration, main_pair, parameter_names
+from vergence.geometry.head import (
+    HeadCalibration,
+    cameras_of,
+    main_camera,
+    main_pair,
+    parameter_names,
+)
 from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.lens import COEFFICIENTS
@@ -439,6 +445,7 @@ def fixed_by_default(start: HeadCalibration, *, timed: bool) -> set[str]:
     - Distortion coefficients that are zero at the start: they are not in the lens model.
     - The time offset, where the eyes stood still.
     - Where the other eye is, for a head of one eye.
+    - Where the main camera sits in an eye without joints: it stands for the eye's base.
     """
     fixed = redundant_offsets(start.kinematics)
     for camera, mounted in start.cameras.items():
@@ -447,6 +454,9 @@ def fixed_by_default(start: HeadCalibration, *, timed: bool) -> set[str]:
         fixed |= {f"{camera}.{name}" for name, value in values if value == 0}
     if main_pair(start) is None:
         fixed |= {f"T_rbase_lbase.{name}" for name in POSE}
+    for eye, joints in start.kinematics.eyes.items():
+        if not joints and (own := cameras_of(start, eye)):
+            fixed |= {f"{main_camera(own, eye)}.T_eye_cam.{name}" for name in POSE}
     return fixed if timed else fixed | {"time_offset_s"}
 
 

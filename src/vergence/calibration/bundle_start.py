@@ -232,6 +232,8 @@ def reading_levels(
     postures = detections.postures
     if postures.T_base_eye_read is not None:
         return ("rotations",) * 3 + ("translations",) * 3
+    if not kinematics.readings:
+        return ()
     blocks = len(postures.reading)
     if set(kinematics.used("left")) & set(kinematics.used("right")):
         left, right = (detections.posture[detections.eyes == e] for e in range(len(EYES)))

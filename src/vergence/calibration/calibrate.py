@@ -111,7 +111,7 @@ def calibrate(
     findings += [*_about(views, head), *found.accuracy.findings, *validated]
     accuracy = replace(
         found.accuracy,
-        eye_motion="pan-tilt" if observations.T_base_eye is None else "poses",
+        eye_motion=observations.eye_motion,
         held_out=held_out,
     )
     findings += inaccurate(replace(head, accuracy=accuracy))

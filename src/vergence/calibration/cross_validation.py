@@ -21,7 +21,12 @@ from vergence.errors import VergenceError
 from vergence.findings import Finding, void, warning
 from vergence.geometry.board import corner_points
 from vergence.geometry.camera import project
-from vergence.geometry.head import HeadCalibration, main_pair, states_covariance
+from vergence.geometry.head import (
+    HeadCalibration,
+    main_pair,
+    parameter_names,
+    states_covariance,
+)
 from vergence.geometry.head_accuracy import HeldOut
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.parameters import boxminus
@@ -86,11 +91,14 @@ def predicted_squares(observations: Observations, parts: Sequence[PartCalibratio
     """Return (V, 2) the sum of squared prediction errors [px^2] and the number of corners.
 
     A corner is predicted from the reading of its own view and from the fold's calibration, with
-    the board where the other views of its placement show it; zeros where none does.
+    the board where the other views of its placement show it; zeros where none does. Before cameras
+    that stand still it is where all cameras of its own view show it together.
     """
     number, points = folds(observations.placement), corner_points(observations.board)
     found = np.zeros((len(number), 2))
     for k, part in enumerate(parts):
+        if observations.eye_motion == "fixed":
+            part = _placed(part, observations.take(number == k))
         head, views = part.head, observations.at_image_times(part.head)
         eye_poses = views.eye_poses(head)
         known = np.isin(views.placement, list(part.T_lbase_target))
@@ -108,6 +116,14 @@ def predicted_squares(observations: Observations, parts: Sequence[PartCalibratio
             found[rows, 0] += np.nansum(squares, axis=1)
             found[rows, 1] += np.isfinite(squares).sum(axis=1)
     return found
+
+
+def _placed(part: PartCalibration, views: Observations) -> PartCalibration:
+    """Place the boards of held-out views by the views themselves."""
+    head = part.head
+    noise = NoiseModel(None if head.accuracy is None else head.accuracy.pixel_std_px)
+    found = bundle_adjust(head, views, fixed=parameter_names(head), noise=noise)
+    return replace(part, T_lbase_target=found.T_lbase_target)
 
 
 def held_out(

@@ -45,6 +45,8 @@ def check_excitation(seen: Observations, T_cam_target: Mapping[str, Array]) -> N
 
     T_cam_target has by camera the poses (V, 4, 4) of the board, NaN where not known.
     """
+    if seen.eye_motion == "fixed":
+        return
     best: dict[int, tuple[float, float, str, np.ndarray]] = {}
     for name, eye in camera_eyes(seen).items():
         rows = most_seen(seen.placement, known_poses(T_cam_target[name]))

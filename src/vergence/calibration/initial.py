@@ -31,7 +31,13 @@ from vergence.estimation.least_squares import least_squares
 from vergence.estimation.variables import Block, Variables
 from vergence.geometry.board import corner_points
 from vergence.geometry.camera import Camera
-from vergence.geometry.head import HeadCalibration, MountedCamera, main_camera, main_pair
+from vergence.geometry.head import (
+    R_EYE_CAM,
+    HeadCalibration,
+    MountedCamera,
+    main_camera,
+    main_pair,
+)
 from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.kinematics import EYES, Side
 from vergence.geometry.neck import Neck
@@ -42,6 +48,7 @@ from vergence.geometry.se3 import (
     inverse,
     known_poses,
     mean_pose,
+    pose,
 )
 from vergence.stereo.extrinsics import base_extrinsics
 from vergence.vision.board_pose import (
@@ -144,7 +151,8 @@ def _mounted(
 ) -> tuple[dict[str, MountedCamera], int]:
     """Place an eye's cameras in it; also return in how many views the main one was placed.
 
-    The main camera is placed by hand-eye calibration, the others relative to it.
+    The main camera is placed by hand-eye calibration, the others relative to it. Where eyes stand
+    still, it looks straight ahead from the eye's origin, by definition.
     """
     main = main_camera(cameras, eye)
     rows = most_seen(observations.placement, known_poses(T_cam_target[main]))
@@ -153,19 +161,29 @@ def _mounted(
     lost = rows[~readable(observations, eye)[rows]]
     if len(lost):
         raise missing_reading(eye, observations.name_of_view(lost[0]))
-    T_base_eye = observations.eye_poses()[rows, EYES.index(eye)]
-    T_eye_main = robust_park_martin(T_base_eye, T_cam_target[main][rows])
-    T_eye_cam = {main: T_eye_main}
-    for name in cameras:
-        if name != main:
-            both = observations.corners[main], observations.corners[name]
-            T_name_main, _ = calibrate_pair(
-                *both, points, cameras[main], cameras[name], names=(main, name)
-            )
-            T_eye_cam[name] = T_eye_main @ inverse(T_name_main)
+    if observations.eye_motion == "fixed":
+        T_eye_main = pose(R_EYE_CAM)
+    else:
+        T_base_eye = observations.eye_poses()[rows, EYES.index(eye)]
+        T_eye_main = robust_park_martin(T_base_eye, T_cam_target[main][rows])
+    T_eye_cam, seen = {main: T_eye_main}, observations.corners
+
+    def together(pair: tuple[str, str]) -> int:
+        both = np.logical_and(*(seen_corners(seen[name]) for name in pair))
+        return int((both.sum(axis=1) >= LEAST_CORNERS).sum())
+
+    while waiting := [name for name in cameras if name not in T_eye_cam]:
+        # Relative to the main camera; one that shares no view with it, relative to another.
+        pairs = [(known, name) for name in waiting for known in T_eye_cam]
+        direct = [pair for pair in pairs if pair[0] == main and together(pair)]
+        known, name = direct[0] if direct else max(pairs, key=together)
+        T_name_known, _ = calibrate_pair(
+            seen[known], seen[name], points, cameras[known], cameras[name], names=(known, name)
+        )
+        T_eye_cam[name] = T_eye_cam[known] @ inverse(T_name_known)
     mounted = {
-        name: MountedCamera(eye=eye, intrinsics=cameras[name], T_eye_cam=T)
-        for name, T in T_eye_cam.items()
+        name: MountedCamera(eye=eye, intrinsics=cameras[name], T_eye_cam=T_eye_cam[name])
+        for name in (main, *(each for each in cameras if each != main))
     }
     return mounted, len(rows)
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -128,6 +128,13 @@ class Observations:
         for name, eye in self.eyes.items():
             if eye not in EYES:
                 raise VergenceError(f"eyes.{name} is {eye!r}; expected left or right.")
+
+    @property
+    def eye_motion(self) -> Literal["pan-tilt", "poses", "fixed"]:
+        """Whether joints were read, poses of the eyes were measured, or the cameras stand still."""
+        if self.T_base_eye is not None:
+            return "poses"
+        return "pan-tilt" if self.kinematics.readings else "fixed"
 
     @property
     def at_rest(self) -> np.ndarray:

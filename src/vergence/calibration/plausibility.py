@@ -599,11 +599,19 @@ def _eyes_alike(evidence: Evidence, fits: list[TurnFit]) -> list[Finding]:
 
 
 def implausible_geometry(head: HeadCalibration) -> list[Finding]:
-    """Find eyes that a calibration puts where a head with joint readings cannot have them."""
+    """Find eyes that a calibration puts where a head cannot have them."""
     if len({mounted.eye for mounted in head.cameras.values()}) < 2:
         return []
     findings = []
     across, t = float(angle(head.T_rbase_lbase[:3, :3])), eye_shift(head)
+    if not head.kinematics.readings:  # which stand as they were built
+        if t[1] > -ASIDE * np.linalg.norm(t):
+            return []
+        sentence = (
+            "The left camera stands to the right of the right one: exchange left and right in "
+            "dataset.json."
+        )
+        return [void("left-is-right", sentence, "T_rbase_lbase")]
     if across > MOST_TURNED_RAD:
         sentence = (
             f"T_rbase_lbase: the bases of the eyes are turned by {np.degrees(across):.0f} degrees "

@@ -106,8 +106,9 @@ def _check_views(seen: Observations) -> None:
     for name, corners in seen.corners.items():
         enough = int((seen_corners(corners).sum(axis=1) >= LEAST_CORNERS).sum())
         if enough < LEAST_VIEWS:
+            mounted = "" if seen.eye_motion == "fixed" else " and T_eye_cam"
             raise VergenceError(
-                f"{name} shows the board in {enough} images at rest: fx, fy and T_eye_cam "
+                f"{name} shows the board in {enough} images at rest: fx, fy{mounted} "
                 f"are not observable; record at least {LEAST_VIEWS}, better 10, at different "
                 "distances and slants."
             )

@@ -59,7 +59,10 @@ def inaccurate(head: HeadCalibration) -> list[Finding]:
         sentence = "the paper's method states no accuracy; calibrate with --method bundle."
         return [warning("no-accuracy", sentence)]
     findings, checked = [], accuracy.held_out
-    more = "record more views in which both eyes see the board (`vergence plan` says which)"
+    still = accuracy.eye_motion == "fixed"
+    more = "record more views in which both eyes see the board"
+    more += ", near and far and slanted" if still else " (`vergence plan` says which)"
+    move = "" if still else ", or let the eyes move farther"
     if checked is not None and checked.expected_mm is not None and checked.distance_m is not None:
         expected_mm, distance = checked.expected_mm, checked.distance_m
         if expected_mm > LARGEST_EXPECTED * 1e3 * distance:
@@ -71,7 +74,7 @@ def inaccurate(head: HeadCalibration) -> list[Finding]:
     for distance, by_calibration, by_reading, _ in point_accuracy(head):
         if by_calibration > max(by_reading, INACCURATE * 1e3 * distance):
             sentence = (
-                f"{more}, or let the eyes move farther; at {distance:g} m a point is wrong by "
+                f"{more}{move}; at {distance:g} m a point is wrong by "
                 f"{by_calibration:.1f} mm by the calibration alone."
             )
             findings.append(warning("inaccurate", sentence))
@@ -87,8 +90,9 @@ def _largest_part(head: HeadCalibration) -> str:
     distance = min(budget, key=lambda each: abs(each - BUDGET_M))
     by_calibration, by_reading, by_pixels = budget[distance]
     by_joints = float(np.sqrt(max(by_reading**2 - by_pixels**2, 0.0)))
+    moved = ", or let the eyes move farther (`vergence plan`)" if head.kinematics.readings else ""
     advice = {
-        by_calibration: "record more views, or let the eyes move farther (`vergence plan`)",
+        by_calibration: f"record more views{moved}",
         by_joints: "let images correct the readings (`SelfCalibrator`), or use better encoders; "
         "more views do not help",
         by_pixels: "nothing; a smaller error takes more pixels, or eyes farther apart",
@@ -143,7 +147,7 @@ def summary_lines(head: HeadCalibration, observations: Observations) -> list[str
     corners, notes = observations.corners, select(accuracy.findings, "note")
     lost = [each for each in notes if each.code in (NO_CORNERS, UNREADABLE_IMAGE)]
     apart = ""
-    if main_pair(head) is not None and accuracy.eye_motion == "pan-tilt":
+    if main_pair(head) is not None and accuracy.eye_motion != "poses":
         apart = f" The eyes are {1e3 * np.linalg.norm(eye_shift(head)):.1f} mm apart."
     found = sum(int(seen_corners(c).any(axis=1).sum()) for c in corners.values())
     lines = [
@@ -156,13 +160,18 @@ def summary_lines(head: HeadCalibration, observations: Observations) -> list[str
         noise = f"{accuracy.pixel_std_px:.3f}"
         if levels and max(levels) > DIFFER * min(levels):
             noise = f"{min(levels):.3f} to {max(levels):.3f}"
-        lines.append(f"Noise: {noise} px in corners, {_reading_noise(head)}.")
+        readings = f", {_reading_noise(head)}" if accuracy.joint_std else ""
+        lines.append(f"Noise: {noise} px in corners{readings}.")
     checked = accuracy.held_out
     if checked is not None and checked.prediction_px is not None:
-        read = "eye poses" if accuracy.eye_motion == "poses" else "joint readings"
+        predict = {
+            "pan-tilt": "the joint readings predict",
+            "poses": "the eye poses predict",
+            "fixed": "lenses and camera poses predict",
+        }
         lines.append(
-            f"Held-out views: the {read} predict corners to {checked.prediction_px:.2f} px "
-            f"({checked.folds} folds)."
+            f"Held-out views: {predict[accuracy.eye_motion]} corners to "
+            f"{checked.prediction_px:.2f} px ({checked.folds} folds)."
         )
     if checked is not None and checked.transfer_px is not None:
         lines.append(

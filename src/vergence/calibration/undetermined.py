@@ -61,7 +61,7 @@ def doubtful(of: Outcome) -> Iterator[Finding]:
             "turn farther."
         )
         yield void("not-converged", sentence)
-    if of.poses_read:
+    if of.poses_read or not of.readings.level:
         return
     detections, postures = of.problem.measured.detections, of.problem.readings.postures
     posture, board = np.unique([detections.posture, detections.board], axis=1)
@@ -91,7 +91,8 @@ def about_one_axis(detections: Detections, x: Variables) -> Iterator[Finding]:
     for e, eye in enumerate(EYES):
         cameras = np.unique(detections.camera[detections.eyes == e]).tolist()
         names = [detections.cameras[c] for c in cameras]
-        if not any(f"{name}.T_eye_cam.tx" in parameters for name in names):
+        still = not x["head"].kinematics.eyes[eye]
+        if still or not any(f"{name}.T_eye_cam.tx" in parameters for name in names):
             continue
         turned = []
         for c in cameras:
@@ -162,6 +163,8 @@ def _missing_motion(of: Outcome) -> str:
     boards = [set(board[of.eyes == eye]) for eye in np.unique(of.eyes)]
     if not set.intersection(*boards):
         return "no board stands where both eyes see it; show the same board to both"
+    if not of.readings.level:
+        return "show the board to all cameras at once, at several distances and slants"
     return (
         f"turn every joint of each eye {ADVISED}, before boards at rest at several distances and "
         "slants"

@@ -17,7 +17,15 @@ from vergence.geometry.board import Board
 from vergence.geometry.camera import MAX_IMAGE_PX, Camera, check_image_size
 from vergence.geometry.head import MAX_CAMERAS, check_camera_name
 from vergence.geometry.joints import Joint
-from vergence.geometry.kinematics import AXIS_NAMES, EYE_JOINTS, EYES, Kinematics, Side, pan_tilt
+from vergence.geometry.kinematics import (
+    AXIS_NAMES,
+    EYE_JOINTS,
+    EYES,
+    FIXED_EYES,
+    Kinematics,
+    Side,
+    pan_tilt,
+)
 from vergence.geometry.neck import NECK_JOINTS
 
 DESCRIPTION, FRAMES = "dataset.json", "frames.csv"
@@ -106,8 +114,9 @@ class Description:
     """Joints of each eye that has cameras, from the head outwards; None: pan, then tilt."""
     readings: dict[str, DatasetReading] = field(default_factory=dict)
     """Unit and sign of each column that `kinematics` uses."""
-    eye_motion: Literal["pan-tilt", "poses"] = "pan-tilt"
-    """Whether frames.csv gives joint readings, or 4x4 poses of the eyes in their bases."""
+    eye_motion: Literal["pan-tilt", "poses", "fixed"] = "pan-tilt"
+    """Whether frames.csv gives joint readings, or 4x4 poses of the eyes in their bases, or the
+    cameras stand still to each other."""
     note: str = ""
     format: Literal["vergence-dataset-1"] = "vergence-dataset-1"
 
@@ -144,9 +153,9 @@ class Description:
     def _contradictory_motion(self) -> Iterator[str]:
         """Check that each eye with a camera has its joints, described in one way."""
         pan_and_tilt = [name for name in EYE_JOINTS if name in self.joints]
-        if self.eye_motion == "poses" and (pan_and_tilt or self.kinematics is not None):
+        if self.eye_motion != "pan-tilt" and (pan_and_tilt or self.kinematics is not None):
             other = f"joints has {pan_and_tilt[0]}" if pan_and_tilt else "kinematics is given"
-            yield f"eye_motion is poses, but {other}; give one of the two"
+            yield f"eye_motion is {self.eye_motion}, but {other}; give one of the two"
         elif self.kinematics is not None and pan_and_tilt:
             yield f"kinematics is given, and joints.{pan_and_tilt[0]} too; give one of the two"
         if self.kinematics is None:
@@ -184,6 +193,8 @@ class Description:
 
         Pan and tilt joints that share a column share one reading, with the name of the first.
         """
+        if self.eye_motion == "fixed":
+            return FIXED_EYES
         if self.kinematics is None:
             return _pan_and_tilt({n: j for n, j in self.joints.items() if n in EYE_JOINTS})
         eyes: dict[Side, tuple[Joint, ...]] = {
@@ -213,10 +224,16 @@ class Description:
 
     @property
     def columns(self) -> list[str]:
-        """Columns of frames.csv; `moving` may be missing."""
+        """Columns of frames.csv; those of `optional_columns` may be missing."""
         joints = dict.fromkeys(joint.column for joint in self.joints.values())
         fixed = [TIME, JOINT_TIME, PLACEMENT, MOVING]
         return [*fixed, *joints, *self.readings, *self.pose_columns, *self.cameras]
+
+    @property
+    def optional_columns(self) -> tuple[str, ...]:
+        """Columns that frames.csv may lack: of cameras that stand still all but their images."""
+        still = self.eye_motion == "fixed"
+        return (TIME, JOINT_TIME, PLACEMENT, MOVING) if still else (MOVING,)
 
 
 def _board_contradictions(board: Board) -> Iterator[str]:

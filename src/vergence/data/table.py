@@ -18,7 +18,6 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.data.description import (
     JOINT_TIME,
-    MOVING,
     PLACEMENT,
     TIME,
     Description,
@@ -109,7 +108,7 @@ def read_table(path: Path, description: Description) -> Table:
             )
     known = description.columns
     for name in known:
-        if name not in header and name != MOVING:
+        if name not in header and name not in description.optional_columns:
             raise VergenceError(
                 f"{path}: the column {name!r} is missing; found {', '.join(header):.1000}. Columns "
                 "are named in the first line and separated by commas."
@@ -122,8 +121,10 @@ def read_table(path: Path, description: Description) -> Table:
             )
     if not rows:
         raise VergenceError(f"{path} has no frames, only a header.")
-    columns = zip(*rows.values(), strict=True)
-    return Table(path, tuple(rows), dict(zip(header, columns, strict=True)))
+    columns = dict(zip(header, zip(*rows.values(), strict=True), strict=True))
+    columns.setdefault(TIME, tuple(map(str, range(len(rows)))))
+    columns.setdefault(JOINT_TIME, columns[TIME])
+    return Table(path, tuple(rows), columns)
 
 
 def time_stamps(table: Table) -> tuple[Array, Array]:

@@ -68,7 +68,7 @@ class Linear:
         rows = csr_array(basis.T)  # nuisance blocks have directions of their own: mostly zeros
         Q, B, G, n = self.gl.shape
         gl = rows @ self.gl.transpose(2, 0, 1, 3).reshape(G, Q * B * n)
-        gl = gl.reshape(-1, Q, B, n).transpose(1, 2, 0, 3)
+        gl = gl.reshape(basis.shape[1], Q, B, n).transpose(1, 2, 0, 3)
         gg = np.array([rows @ (rows @ each).T for each in self.gg])
         return replace(self, gg=gg, gl=np.ascontiguousarray(gl), g=(rows @ self.g.T).T)
 

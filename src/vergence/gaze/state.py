@@ -16,7 +16,7 @@ from vergence.errors import VergenceError
 from vergence.gaze.commands import HeadCommand, JointLimits, hold
 from vergence.gaze.kalman import MotionModel, Track
 from vergence.geometry.head import HeadCalibration, cameras_of, main_camera
-from vergence.geometry.kinematics import EYES, Side
+from vergence.geometry.kinematics import EYES, Side, check_moves
 from vergence.geometry.neck import NECK_JOINTS, check_named
 from vergence.self_calibration.calibrator import Geometry, VisualGeometry, initial_visual_geometry
 from vergence.vision.detector import Detection, Detector, pixel_or_nan
@@ -116,6 +116,7 @@ class GazeSettings:
     """Maximum acceleration of a neck joint."""
 
     def __post_init__(self) -> None:
+        check_moves(self.calibration.kinematics, "Gaze control")
         for eye, cameras in (self.roles or {}).items():
             there = cameras_of(self.calibration, eye)
             if not {cameras.wide, cameras.narrow} <= set(there):

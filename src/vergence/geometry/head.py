@@ -92,7 +92,7 @@ class HeadCalibration:
         stated = "states its accuracy" if states_covariance(self) else "states no accuracy"
         return (
             f"<HeadCalibration of {', '.join(self.cameras)}; moved by "
-            f"{', '.join(self.kinematics.readings)}; {stated}>"
+            f"{', '.join(self.kinematics.readings) or 'nothing'}; {stated}>"
         )
 
     def camera(self, name: str) -> MountedCamera:

@@ -80,8 +80,8 @@ class Accuracy:
     """Noise of the readings [rad]: of all, or of each kind (`kinematics.reading_kinds`), such as
     pan and tilt; for eyes whose poses are given, rotation [rad] and translation [m], as corrected
     by the head's pose_errors."""
-    eye_motion: Literal["pan-tilt", "poses"] = "pan-tilt"
-    """Whether the eyes were read as angles or as poses."""
+    eye_motion: Literal["pan-tilt", "poses", "fixed"] = "pan-tilt"
+    """Whether the eyes were read as angles or as poses, or stand still."""
     held_out: HeldOut | None = None
     findings: tuple[Finding, ...] = ()
     """What was noticed about the data and the result, the most severe first. A calibration with a

@@ -123,6 +123,18 @@ def _check_joints(whose: str, joints: tuple[Joint, ...], readings: tuple[str, ..
             )
 
 
+FIXED_EYES = Kinematics({eye: () for eye in EYES}, ())
+"""Cameras that stand still: a base has no joints, and no reading moves it."""
+
+
+def check_moves(kinematics: Kinematics, what: str) -> None:
+    """Raise VergenceError if the eyes stand still, which something, in words, needs to move."""
+    if not kinematics.readings:
+        raise VergenceError(
+            f"{what} needs eyes that move, and the cameras of this head stand still."
+        )
+
+
 def same_design(a: Kinematics, b: Kinematics, eyes: Collection[Side] = EYES) -> bool:
     """Check whether joints of some eyes have the same design, whatever their errors."""
     pairs = [pair for eye in eyes for pair in zip_longest(a.eyes[eye], b.eyes[eye])]
