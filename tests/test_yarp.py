@@ -1,37 +1,22 @@
 """Folders of yarpdatadumper as recordings."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from vergence.errors import VergenceError
 from vergence.recordings.formats import open_recording
-from vergence.recordings.recording import Content, Message
 from written_recordings import (
     IMAGE_NS,
     IMAGES,
     JOINT_NS,
     PAN_TILT,
+    contents,
+    refusal,
     seconds,
     write_image,
     write_port,
+    write_video,
     write_yarp,
 )
-
-
-def contents(path: Path, *names: str) -> list[tuple[Message, Content]]:
-    """Read channels of a recording, None: all that can be used."""
-    with open_recording(path) as recording:
-        chosen = names or [n for n, each in recording.channels.items() if each.kind != "other"]
-        return [(each, each.decode()) for each in recording.read(chosen, None, None)]
-
-
-def refusal(path: Path) -> str:
-    with pytest.raises(VergenceError) as refused:
-        contents(path)
-    assert "\n" not in str(refused.value)
-    return str(refused.value)
 
 
 @pytest.mark.parametrize("two_stamps", [False, True])
@@ -79,16 +64,11 @@ def test_stamps_of_a_simulated_clock_are_told_apart_by_the_info_only(tmp_path):
 
 
 def test_a_video_of_the_dumper_is_read(tmp_path):
-    av = pytest.importorskip("av")
+    pytest.importorskip("av")
     stamps = [IMAGE_NS[0] - 20_000_000, *IMAGE_NS]  # the first image came before the video began
     lines = [f"{k} {seconds(t)} frame_{k:08d}" for k, t in enumerate(stamps)]
     write_port(tmp_path / "left", "Image; Video:avi(huffyuv)", lines)
-    with av.open(str(tmp_path / "left/video.avi"), "w") as video:
-        stream = video.add_stream("huffyuv", rate=50)
-        stream.width, stream.height, stream.pix_fmt = 32, 24, "rgb24"
-        for image in IMAGES["left"]:
-            video.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
-        video.mux(stream.encode())
+    write_video(tmp_path / "left/video.avi", IMAGES["left"], codec="huffyuv")
     codes = "".join(f"{20 * k}\n" for k in range(4))
     (tmp_path / "left/timecodes.log").write_text(f"# timecode format v2\n{codes}")
     read = contents(tmp_path)

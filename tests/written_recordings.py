@@ -4,6 +4,11 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
+
+from vergence.errors import VergenceError
+from vergence.recordings.formats import open_recording
+from vergence.recordings.recording import Content, Message
 
 START_NS = 1_700_000_000_123_456_000
 JOINT_NS = START_NS + np.arange(12) * 10_000_000
@@ -49,3 +54,51 @@ def write_yarp(folder: Path, *, two_stamps: bool = False) -> None:
         write_port(folder / "cam" / eye, "Image", lines, which)
         for k, image in enumerate(images):
             write_image(folder / "cam" / eye / f"{k:08d}.ppm", image)
+
+
+def write_csv(path: Path, header: str, rows: list[str]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("\n".join([header, *rows, ""]))
+
+
+def write_video(path: Path, images: np.ndarray, *, codec: str, rate: int = 50) -> None:
+    """Write a video whose frames are decoded as they were: of a codec without loss."""
+    import av
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with av.open(str(path), "w") as video:
+        stream = video.add_stream(codec, rate=rate)
+        stream.height, stream.width, stream.pix_fmt = *images.shape[1:3], "rgb24"
+        for image in images:
+            video.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
+        video.mux(stream.encode())
+
+
+def write_tables(folder: Path, time: str = "time_ns", unit_ns: int = 1) -> None:
+    """Write joints in a csv, images of the left eye in a folder, and a list of those of the right.
+
+    Left images are named by their stamps, those of the right eye are in a folder of their own.
+    """
+    joints = zip(JOINT_NS.tolist(), PAN_TILT.tolist(), strict=True)
+    rows = [f"{t / unit_ns if unit_ns > 1 else t!r},{pan},{tilt}" for t, (pan, tilt) in joints]
+    write_csv(folder / "joints.csv", f"{time},pan,tilt", rows)
+    for t, image in zip(IMAGE_NS.tolist(), IMAGES["left"], strict=True):
+        write_image(folder / "left" / f"{t}.png", image)
+    rows = [f"{t},{k}.png" for k, t in enumerate(IMAGE_NS.tolist())]
+    write_csv(folder / "right" / "data.csv", "#timestamp [ns],filename", rows)
+    for k, image in enumerate(IMAGES["right"]):
+        write_image(folder / "right" / "data" / f"{k}.png", image)
+
+
+def contents(path: Path, *names: str) -> list[tuple[Message, Content]]:
+    """Read channels of a recording, None: all that can be used."""
+    with open_recording(path) as recording:
+        chosen = names or [n for n, each in recording.channels.items() if each.kind != "other"]
+        return [(each, each.decode()) for each in recording.read(chosen, None, None)]
+
+
+def refusal(path: Path) -> str:
+    with pytest.raises(VergenceError) as refused:
+        contents(path)
+    assert "\n" not in str(refused.value)
+    return str(refused.value)

@@ -45,12 +45,13 @@ def read_bytes(path: Path, most_bytes: int) -> bytes:
         if path.exists() and not path.is_file():  # to open a pipe would block
             raise VergenceError(f"Cannot read {path}: it is {_kind(path)}.")
         with path.open("rb") as file:
-            content = file.read(most_bytes + 1)
+            large = os.fstat(file.fileno()).st_size > most_bytes
+            content = b"" if large else file.read(most_bytes + 1)
     except OSError as error:
         raise VergenceError(f"Cannot read {path}: {error.strerror}.") from error
     except ValueError:
         raise VergenceError(f"{str(path)!r} is not a possible file name.") from None
-    if len(content) > most_bytes:
+    if large or len(content) > most_bytes:
         raise VergenceError(
             f"{path} is too large: a file of this kind has at most {most_bytes:,} bytes."
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -38,11 +38,12 @@ def unused(name: str, type_name: str, count: int = 0) -> Series:
     return Series(channel, NO_STAMPS, NO_STAMPS, lambda index: ())
 
 
-def recording_of(path: Path, series: Sequence[Series], what: str) -> Recording:
+def recording_of(path: Path, series: Iterable[Series], what: str) -> Recording:
     """Make a recording of the series of its channels; VergenceError if none can be used.
 
     `what` names the format with its article.
     """
+    series = list(series)
     if all(each.channel.kind == "other" for each in series):
         reasons = "; ".join(f"{each.channel.name}: {each.channel.type}" for each in series[:5])
         raise VergenceError(f"{path} is {what} without images and joint readings: {reasons:.800}.")

@@ -31,11 +31,10 @@ def nanoseconds(values: np.ndarray, unit: str, where: str) -> np.ndarray:
     VergenceError if one is not finite or too large.
     """
     factor = UNITS_NS[unit]
-    if len(values) and not (np.abs(values.astype(float)) <= MAX_S * 1e9 / factor).all():
-        k = int(np.argmin(np.abs(values.astype(float)) <= MAX_S * 1e9 / factor))
-        raise VergenceError(
-            f"{where}: stamp {k + 1} is {values[k]}, which is not a time in {unit}."
-        )
+    possible = np.abs(values.astype(float)) <= MAX_S * 1e9 / factor
+    if not possible.all():
+        k = int(np.argmin(possible))
+        raise VergenceError(f"{where}: stamp {k + 1} is {values[k]}, not a time in {unit}.")
     if values.dtype.kind in "iu":
         return values.astype(np.int64) * factor
     whole = np.floor(values)  # a float of all nanoseconds since 1970 is exact to 256 only

@@ -39,13 +39,14 @@ def open_video(path: Path) -> Iterator[Video]:
     """Open a video; VergenceError if it is damaged, or the package av is not installed."""
     try:
         import av
+        from av.error import FFmpegError
     except ImportError:
         raise VergenceError(
             f"{path} is a video; to read it install the package av, as by "
             "`pip install 'vergence[video]'`."
         ) from None
     try:
-        with path.open("rb") as file, av.open(file, options=_OPTIONS) as container:
+        with path.open("rb") as file, av.open(file, "r", options=_OPTIONS) as container:
             if not container.streams.video:
                 raise VergenceError(f"{path} has no images.")
             stream = container.streams.video[0]
@@ -62,8 +63,9 @@ def open_video(path: Path) -> Iterator[Video]:
                 raise VergenceError(f"{path} has no frames, or several of one time.")
             begins[0] = 0
             replay = Replay(begins, partial(_frames, container, stream, pts))
-            yield Video(pts * float(stream.time_base or 1), partial(_frame, replay, path))
-    except (OSError, ValueError, av.FFmpegError) as error:
+            time_s = pts.astype(float) * float(stream.time_base or 1)
+            yield Video(time_s, partial(_frame, replay, path))
+    except (OSError, ValueError, FFmpegError) as error:
         raise VergenceError(f"{path} cannot be read as a video: {explain(error)}.") from error
 
 
@@ -77,11 +79,11 @@ def _frames(container: Any, stream: Any, pts: np.ndarray, begin: int) -> Iterato
 
 
 def _frame(replay: Replay[Any], path: Path, index: int) -> np.ndarray:
-    import av
+    from av.error import FFmpegError
 
     try:
         frame = replay(index)
-    except (OSError, ValueError, av.FFmpegError) as error:
+    except (OSError, ValueError, FFmpegError) as error:
         raise VergenceError(f"{path}: frame {index} is damaged: {explain(error)}.") from error
     if frame is None:
         raise VergenceError(f"{path}: frame {index} is damaged or missing.")

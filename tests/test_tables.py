@@ -1,0 +1,162 @@
+"""Folders of csv, images and videos as recordings."""
+
+import numpy as np
+import pytest
+
+from vergence.recordings.formats import open_recording
+from vergence.recordings.stamps import UNITS_NS, recognise_unit
+from written_recordings import (
+    IMAGE_NS,
+    IMAGES,
+    JOINT_NS,
+    PAN_TILT,
+    contents,
+    refusal,
+    write_csv,
+    write_image,
+    write_tables,
+    write_video,
+)
+
+
+def test_joints_and_images_are_read_with_their_stamps(tmp_path):
+    write_tables(tmp_path)
+    joints = contents(tmp_path, "joints")
+    assert [message.stamp_ns for message, _ in joints] == JOINT_NS.tolist()
+    assert {content.names for _, content in joints} == {("pan", "tilt")}
+    assert np.array_equal([content.values for _, content in joints], PAN_TILT)
+    for name, eye in (("left", "left"), ("right/data/filename", "right")):
+        images = contents(tmp_path, name)
+        assert [message.stamp_ns for message, _ in images] == IMAGE_NS.tolist()
+        assert np.array_equal([content for _, content in images], IMAGES[eye])
+    with open_recording(tmp_path) as recording:
+        assert set(recording.channels) == {"joints", "left", "right/data/filename"}
+        assert recording.channels["joints"].type == "csv, times in ns"
+    assert len(contents(tmp_path / "joints.csv")) == len(JOINT_NS)
+
+
+@pytest.mark.parametrize("unit", UNITS_NS)
+def test_units_are_recognised_and_said(tmp_path, unit):
+    write_tables(tmp_path, "stamp", UNITS_NS[unit])
+    found = [message.stamp_ns for message, _ in contents(tmp_path, "joints")]
+    np.testing.assert_allclose(found, JOINT_NS, rtol=0, atol=500)
+    with open_recording(tmp_path) as recording:
+        assert recording.channels["joints"].type == f"csv, times in {unit}"
+
+
+@pytest.mark.parametrize(
+    ("first", "step", "name", "unit"),
+    [
+        (1.7e9, 0.1, "t", "s"),
+        (1.7e12, 5000, "t", "ms"),
+        (1.7e18, 1e7, "t", "ns"),
+        (0, 0.033, "t", "s"),
+        (0, 33, "t", "ms"),
+        (0, 33_333, "t", "us"),
+        (0, 33_333_333, "t", "ns"),
+        (10**12, 33_333_333, "t", "ns"),  # a quarter of an hour since the start; as ms of 2001
+        (0, 1, "time_s", "s"),
+        (0, 1000, "stamp [us]", "us"),
+        (17, 1, "Timestamp(ms)", "ms"),
+        (5, 1, "time.nanoseconds", "ns"),
+    ],
+)
+def test_the_unit_follows_from_name_or_size(first, step, name, unit):
+    assert recognise_unit(first + step * np.arange(50), name, "here") == unit
+
+
+def test_dates_are_times(tmp_path):
+    rows = ["2024-01-02 10:00:00.5;1", "2024-01-02 10:00:01;2"]
+    write_csv(tmp_path / "joints.csv", "time;pan", rows)
+    first, second = (message.stamp_ns for message, _ in contents(tmp_path))
+    assert second - first == 500_000_000
+    assert first == 1_704_189_600_500_000_000
+
+
+def test_a_reading_that_is_missing_is_left_out(tmp_path):
+    write_csv(tmp_path / "joints.csv", "t,pan,tilt", ["0.1,1,2", "0.2,,3", "0.3,nan,inf"])
+    samples = [content for _, content in contents(tmp_path)]
+    assert [each.names for each in samples] == [("pan", "tilt"), ("tilt",), ()]
+    assert [each.values.tolist() for each in samples] == [[1, 2], [3], []]
+
+
+def test_a_video_has_the_stamps_of_a_csv(tmp_path):
+    pytest.importorskip("av")
+    write_tables(tmp_path)
+    images = np.empty((40, 48, 64, 3), np.uint8)
+    images[:] = 6 * np.arange(40)[:, None, None, None]
+    write_video(tmp_path / "wide.mkv", images, codec="libx264rgb")  # B-frames, few key frames
+    stamps = JOINT_NS[0] + np.sort(np.random.default_rng(3).integers(0, 10**9, 40))
+    rows = [f"{k},{t}" for k, t in enumerate(stamps)]
+    write_csv(tmp_path / "wide_timestamps.csv", "frame,stamp", rows)
+    with open_recording(tmp_path) as recording:
+        assert recording.channels["wide"].count == 40
+        assert "wide_timestamps" not in recording.channels
+        of_frame = {each.stamp_ns: each.decode for each in recording.read(["wide"], None, None)}
+        for k in (0, 1, 2, 39, 20, 21, 3):
+            frame = of_frame[int(stamps[k])]()
+            assert isinstance(frame, np.ndarray)
+            assert np.abs(frame.astype(int) - 6 * k).max() <= 2
+    write_csv(tmp_path / "wide_timestamps.csv", "stamp", [str(t) for t in stamps[1:]])
+    assert "39 stamps, but wide has 40 images" in refusal(tmp_path)
+
+
+def test_images_numbered_by_frames_need_a_csv(tmp_path):
+    write_tables(tmp_path)
+    for k, image in enumerate(IMAGES["left"]):
+        write_image(tmp_path / "third" / f"{k + 8}.png", image)
+    with open_recording(tmp_path) as recording:
+        assert recording.channels["third"].kind == "other"
+        assert "numbers of frames" in recording.channels["third"].type
+    write_csv(tmp_path / "third" / "stamps.csv", "stamp", [str(t) for t in IMAGE_NS])
+    assert np.array_equal([content for _, content in contents(tmp_path, "third")], IMAGES["left"])
+    write_csv(tmp_path / "third" / "stamps.csv", "stamp", [str(t) for t in IMAGE_NS[1:]])
+    assert "3 stamps, but third has 4 images" in refusal(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "Empty CSV"),
+        ("pan,tilt\n1,2\n", "csv without a column of times"),
+        ("time,pan\n", "csv of times without numbers"),
+        ("time,pan\n0.1,1\n0.2\n", "Expected 2 columns, got 1"),
+        ("time,pan\n0.1,1\n0.2,on\n", "column pan: row 2 below the header has 'on'"),
+        ("time,pan\n0.1,1\nnoon,2\n", "column time: row 2 below the header has 'noon'"),
+        ("time,pan\n0.1,1\n,2\n", "row 2 below the header has no time"),
+        ("time,pan\n0.1,1\n1e30,2\n", "stamp 2 is 1e+30, not a time in s"),
+        ("time,pan\n1,1\n2,2\n", "as numbers of frames have"),
+        ("time,pan,pan\n0.1,1,2\n", "two columns of one name"),
+        ("time,pan\n0.1,\0\n", "csv of times without numbers"),
+        ("\0\0\0\0", "Empty CSV"),
+        ("time,image\n0.1,../secret.png\n", "leads out of the recording's folder"),
+        ("time,image\n0.1,/etc/passwd.png\n", "leads out of the recording's folder"),
+        ("time,image\n0.1,none.png\n", "missing"),
+        ("time,image\n0.1,link.png\n", "leads out of the recording's folder"),
+        ("time,image\n0.1,joints.csv.png\n", "not a readable image"),
+        (f"time,image\n0.1,{'a' * 5000}.png\n", "not a possible file name"),
+    ],
+)
+def test_a_bad_csv_is_refused_in_one_sentence(tmp_path, text, says):
+    write_image(tmp_path / "secret.png", IMAGES["left"][0])
+    folder = tmp_path / "recording"
+    folder.mkdir()
+    (folder / "joints.csv").write_text(text)
+    (folder / "joints.csv.png").write_text(text)
+    (folder / "link.png").symlink_to(tmp_path / "secret.png")
+    assert says in refusal(folder / "joints.csv")
+
+
+def test_sizes_are_checked_before_memory_is_taken(tmp_path):
+    with (tmp_path / "joints.csv").open("wb") as file:
+        file.truncate(20 * 2**30)
+    assert "too large" in refusal(tmp_path)
+    (tmp_path / "joints.csv").write_bytes(b"," * 4000 + b"\n" * 10_000)
+    assert "40,010,000 cells" in refusal(tmp_path) or "cells" in refusal(tmp_path)
+
+
+def test_a_table_outside_of_the_folder_is_not_read(tmp_path):
+    write_csv(tmp_path / "joints.csv", "time,pan", ["0.1,1"])
+    (tmp_path / "recording").mkdir()
+    (tmp_path / "recording" / "joints.csv").symlink_to(tmp_path / "joints.csv")
+    assert "leads out of the recording's folder" in refusal(tmp_path / "recording")
