@@ -20,7 +20,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, get_args
 
 import cv2
 import numpy as np
@@ -34,11 +34,17 @@ from vergence.data.writer import DatasetRow, write_dataset
 from vergence.errors import VergenceError
 from vergence.files import write_json
 from vergence.geometry.board import Chessboard
+from vergence.geometry.camera import pinhole
 from vergence.geometry.head import HeadCalibration, load_head, save_head
 from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.kinematics import EYE_JOINTS
 from vergence.geometry.parameters import parameter_values
+from vergence.geometry.se3 import pose
 from vergence.interchange.formats import ExportFormat, export_head, import_head
+from vergence.recordings.bag import Storage, message, write_bag
+from vergence.recordings.formats import open_recording
+from vergence.recordings.recording import FramePose, JointSample
+from vergence.recordings.scan import scan
 from vergence.stereo.triangulation import triangulate_at
 from vergence.twin.evaluation import Truth, evaluate, load_truth
 from vergence.twin.model import as_built_head, nominal_head
@@ -103,7 +109,34 @@ def kinds(folder: Path) -> dict[str, Kind]:
     made["ros"] = Kind(
         info / "left_wide.yaml", lambda: use_head(import_head(info, "ros", template=head))
     )
+    return made | bags(folder)
+
+
+def bags(folder: Path) -> dict[str, Kind]:
+    """Write a bag in each storage with all kinds of content."""
+    camera, rng, messages = pinhole(16, 12, 20.0), np.random.default_rng(3), []
+    for k in range(12):
+        now = 10**18 + k * 10**8
+        sample = JointSample(("pan", "tilt"), np.array([0.1 * k, 0.2]))
+        poses = (FramePose("base", "eye", pose(t=[0.01 * k, 0, 0])),)
+        image = rng.integers(0, 255, (12, 16), np.uint8)
+        content = {"i": image, "i/compressed": image, "c": camera, "j": sample, "tf": poses}
+        messages += [message(f"/{name}", now, each) for name, each in content.items()]
+    made = {}
+    for storage in get_args(Storage):
+        path = folder / ("small.bag" if storage == "ros1" else storage)
+        write_bag(path, messages, storage=storage)
+        files = [path] if storage == "ros1" else sorted(path.iterdir())
+        for file in files:
+            name = f"{storage} {file.suffix}"
+            made[name] = Kind(file, lambda path=path: use_recording(path))
     return made
+
+
+def use_recording(path: Path) -> None:
+    """Scan a whole recording."""
+    with open_recording(path) as recording:
+        finite(*(track.values for track in scan(recording).joints.values()))
 
 
 def stated_head() -> HeadCalibration:

@@ -23,21 +23,24 @@ YAML_KINDS = ("opencv .yml", "kalibr", "ros")
 TEXT_KINDS = (*JSON_KINDS, *YAML_KINDS, "opencv .xml", "profile", "frames.csv")
 IMAGE_KINDS = ("png", "jpeg")
 KINDS = (*TEXT_KINDS, *IMAGE_KINDS)
+BAG_KINDS = ("ros1 .bag", "ros2 .db3", "ros2 .yaml", "mcap .mcap", "mcap .yaml")
+"""test_bad_bags has what is in their place."""
+ALL_KINDS = (*KINDS, *BAG_KINDS)
 
 
 def test_what_is_made_is_read(sound_files):
-    assert set(sound_files) == set(KINDS)
+    assert set(sound_files) == set(ALL_KINDS)
     for kind in sound_files.values():
         assert attempt(kind, kind.file.read_bytes()) == "read"
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize("name", ALL_KINDS)
 def test_files_damaged_at_random_are_read_or_refused(sound_files, name):
     kind = sound_files[name]
     content = kind.file.read_bytes()
     for seed in range(MUTATIONS):
-        end = attempt(kind, mutated(content, np.random.default_rng([seed, KINDS.index(name)])))
+        end = attempt(kind, mutated(content, np.random.default_rng([seed, ALL_KINDS.index(name)])))
         assert end in ("read", "refused"), f"seed {seed}: {end}"
 
 

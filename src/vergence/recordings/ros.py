@@ -12,6 +12,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from heapq import merge
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -150,27 +151,23 @@ def _read(
         deserialize = bag.types.deserialize_ros1 if bag.ros1 else bag.types.deserialize_cdr
         for connection, received_ns, raw in merge(*chosen, key=lambda each: each[1]):
             message: Any = deserialize(bag.decompress(raw), connection.msgtype)
-            yield Message(
-                connection.topic,
-                _stamp_ns(message, received_ns),
-                received_ns,
-                partial(_content, message, f"{bag.path}: {connection.topic}", connection),
-            )
+            where, kind = f"{bag.path}: {connection.topic}", KINDS[connection.msgtype]
+            if kind != "poses":
+                decode = partial(_content, message, where, kind)
+                yield Message(connection.topic, _stamp_ns(message), received_ns, decode)
+                continue
+            for stamp_ns, transforms in groupby(message.transforms, _stamp_ns):
+                decode = partial(_poses, tuple(transforms), where)
+                yield Message(connection.topic, stamp_ns, received_ns, decode)
 
 
-def _stamp_ns(message: Any, received_ns: int) -> int:
-    """Take the stamp of a header, or of the first of several poses."""
-    with_header = message
-    if hasattr(message, "transforms"):
-        if not message.transforms:
-            return received_ns
-        with_header = message.transforms[0]
-    stamp = with_header.header.stamp
+def _stamp_ns(message: Any) -> int:
+    """Take the stamp of a header."""
+    stamp = message.header.stamp
     return stamp.sec * 1_000_000_000 + stamp.nanosec
 
 
-def _content(message: Any, where: str, connection: Connection) -> Content:
-    kind = KINDS[connection.msgtype]
+def _content(message: Any, where: str, kind: Kind) -> Content:
     if kind == "joints":
         n = min(len(message.name), len(message.position))  # a message may have velocities only
         values = np.array(message.position[:n], float)
@@ -179,19 +176,20 @@ def _content(message: Any, where: str, connection: Connection) -> Content:
     if kind == "images":
         decode = raw_image if hasattr(message, "step") else compressed_image
         return decode(message, where)
-    return camera_lens(message, where) if kind == "lens" else _poses(message, where)
+    return camera_lens(message, where)
 
 
-def _poses(message: Any, where: str) -> tuple[FramePose, ...]:
+def _poses(transforms: tuple[Any, ...], where: str) -> tuple[FramePose, ...]:
     found = []
-    for each in message.transforms:
+    for each in transforms:
         t, q = each.transform.translation, each.transform.rotation
         turn, shift = np.array([q.x, q.y, q.z, q.w]), np.array([t.x, t.y, t.z])
         frames = each.header.frame_id.strip("/"), each.child_frame_id.strip("/")
-        if not (np.isfinite(shift).all() and abs(np.linalg.norm(turn) - 1) < 0.1):
+        is_unit = (np.abs(turn) < 2).all() and abs(np.linalg.norm(turn) - 1) < 0.1
+        if not (is_unit and np.isfinite(shift).all()):
             raise VergenceError(
-                f"{where}: the pose of {frames[1]!r:.60} in {frames[0]!r:.60} has no rotation: its "
-                f"quaternion is {turn.tolist()}."
+                f"{where}: the pose of {frames[1]!r:.60} in {frames[0]!r:.60} is invalid: its "
+                f"quaternion is {turn.tolist()}, its translation {shift.tolist()}."
             )
         found.append(FramePose(*frames, pose(Rotation.from_quat(turn).as_matrix(), shift)))
     return tuple(found)
