@@ -8,6 +8,7 @@ from typing import Literal
 
 import vergence as vg
 from vergence.cli.options import Optional, Positional, check_outputs
+from vergence.cli.recordings import dataset_of
 from vergence.cli.report import Report
 from vergence.cli.terminal import invocation, progress_bars
 from vergence.errors import VergenceError, listed
@@ -32,7 +33,8 @@ def calibrate(
     """Calibrate a head from a dataset, and state the accuracy.
 
     Args:
-        dataset: Folder with dataset.json, frames.csv and images.
+        dataset: Folder with dataset.json, frames.csv and images, or a robot's recording with a
+            map.toml beside it (see import-recording).
         out: JSON file of the calibration. A VOID one does not replace an earlier file: it is
             written into NAME.void.json.
         report: Folder for report.md, its pictures and a recording of the dataset.
@@ -50,8 +52,11 @@ def calibrate(
 
     void_out = out.with_name(f"{out.stem}.void{out.suffix}")
     check_outputs(out, void_out, json, folder=report, names=RESULTS, inputs=[dataset])
-    data = vg.load_dataset(dataset)
-    with progress_bars(report) as progress, results_folder(report):
+    with (
+        progress_bars(report) as progress,
+        dataset_of(dataset, progress) as data,
+        results_folder(report),
+    ):
         result = calibrate_dataset(data, method=method, lens=lens, progress=progress)
         written = void_out if result.accuracy.void and out.exists() else out
         vg.save_head(result.head, written)
@@ -79,8 +84,9 @@ def self_calibrate(
     """Correct a calibration by what both eyes see of the scene, without a board.
 
     Args:
-        dataset: Folder with dataset.json, frames.csv and images. Rows with moving eyes are used or,
-            without such rows, all rows that both main cameras see.
+        dataset: Folder with dataset.json, frames.csv and images, or a robot's recording with a
+            map.toml beside it. Rows with moving eyes are used or, without such rows, all rows that
+            both main cameras see.
         calibration: JSON file that `vergence calibrate` wrote, of the same head.
         out: JSON file of the learned calibration.
         json: JSON file of what was observed of each parameter.
@@ -91,8 +97,8 @@ def self_calibrate(
     from vergence.cli.evaluation_reports import self_calibration_report
 
     check_outputs(out, json, inputs=[dataset, calibration])
-    head, data = vg.load_head(calibration), vg.load_dataset(dataset)
-    with progress_bars() as progress:
+    head = vg.load_head(calibration)
+    with progress_bars() as progress, dataset_of(dataset, progress) as data:
         found = vg.self_calibrate(data, head, changed=changed, progress=progress)
     vg.save_head(found.head, out)
     report = self_calibration_report(found)

@@ -2,41 +2,111 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Literal
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Literal
 
 import vergence as vg
-from vergence.cli.options import Optional, Positional, check_outputs
+from vergence.cli.options import DATASET_FILES, Optional, Positional, check_outputs
 from vergence.cli.report import Report
-from vergence.cli.terminal import progress_bars
+from vergence.cli.terminal import invocation, progress_bars
 from vergence.errors import VergenceError, counted
+from vergence.files import markdown_table, write_whole
+
+if TYPE_CHECKING:
+    from vergence.data.dataset import Dataset
+    from vergence.progress import Progress
+
+MAP = "map.toml"
+"""As in `recordings.recording_map`; repeated here since importing that needs numpy."""
+_JOINTS = 60
+"""Most joints that a listing shows."""
 
 
 def import_recording(
     source: Positional[Path], /, *, map: Optional[Path] = None, out: Optional[Path] = None
 ) -> Report:
-    """Make a dataset of a robot's recording, such as a ROS bag.
+    """Make a dataset of a robot's recording, or list what is in it.
 
     Args:
-        source: Recording: a ROS 1 .bag, or a ROS 2 folder, .db3 or .mcap.
-        map: TOML file that names the recording's cameras, joints and board; left out: map.toml in
-            the folder that holds the recording.
-        out: Folder of the dataset to write.
+        source: Recording: a ROS 1 .bag, a ROS 2 folder, .db3 or .mcap, or a folder of
+            yarpdatadumper.
+        map: TOML file that names cameras, joints and board of the recording; left out: map.toml in
+            the folder that holds the recording. Without --out a first one is written there.
+        out: Folder of the dataset to write; left out: the contents of the recording are listed.
     """
     from vergence.recordings.import_recording import import_recording as import_mapped
-    from vergence.recordings.recording_map import MAP, load_map
+    from vergence.recordings.recording_map import load_map
 
-    map = map or source.parent / MAP
-    check_outputs(folder=out, inputs=[map])
-    mapped = load_map(map)
-    assert out is not None
+    place = map or source.parent / MAP
+    if out is None:
+        return _listed(source, place)
+    check_outputs(folder=out, inputs=[place])
+    mapped = load_map(place)
     with progress_bars() as progress:
         found = import_mapped(source, mapped, out, progress=progress)
-    text = (
-        f"{counted(found.frames, 'frame')}, {found.moving} of them in motion; the board stood at "
-        f"{counted(found.placements, 'place')}."
-    )
-    return Report("Recording", (text,), None, files=f"Wrote {out}.")
+    text = f"{counted(found.frames, 'frame')}, {found.moving} of them with moving eyes"
+    if found.placements:
+        text += f"; the board stood at {counted(found.placements, 'place')}"
+    parts = (f"{text}.", *(each.sentence for each in found.findings))
+    return Report("Recording", parts, None, files=f"Wrote {out}.")
+
+
+def _listed(source: Path, place: Path) -> Report:
+    """List what is in a recording, and write a first map unless there is one."""
+    from vergence.recordings.first_map import first_map
+    from vergence.recordings.formats import open_recording
+    from vergence.recordings.listing import list_recording
+    from vergence.recordings.recording_map import UNKNOWN, load_map
+
+    with progress_bars() as progress, open_recording(source) as recording:
+        listing = list_recording(recording, progress=progress)
+    rows = []
+    for name, each in listing.channels.items():
+        size = "x".join(map(str, each.images[0].shape[1::-1])) if each.images else ""
+        rate = f"{1 / each.period_s:.3g}" if each.period_s else ""
+        gap = f"{each.largest_gap_s:.3g}" if each.period_s else ""
+        count = each.channel.count
+        rows.append((name, each.channel.type, count, rate, gap, each.error or size))
+    heading = "channel | type | messages | per second | largest gap [s] | size"
+    parts = [markdown_table(heading, rows)]
+    joints = [
+        (name, channel, f"{low:.4g}", f"{high:.4g}")
+        for (channel, name), (low, high) in list(listing.joints.items())[:_JOINTS]
+    ]
+    if joints:
+        parts.append(markdown_table("joint | channel | lowest | highest", joints))
+    command = invocation("vergence", "import-recording", source, "--out", "DATASET")
+    if place.exists():
+        load_map(place)
+        return Report("Recording", parts, None, files=f"{place} is complete. Next: {command}")
+    text = first_map(listing)
+    write_whole(place, text)
+    count = text.count(f'"{UNKNOWN}"') - 1
+    todo = f"fill in {counted(count, 'value')} that is {UNKNOWN}" if count else "check it"
+    return Report("Recording", parts, None, files=f"Wrote {place}: {todo}. Then: {command}")
+
+
+@contextmanager
+def dataset_of(path: Path, progress: Progress) -> Iterator[Dataset]:
+    """Load a dataset, or import a recording, by the map beside it, into a temporary one."""
+    from vergence.recordings.formats import is_recording
+    from vergence.recordings.import_recording import import_recording as import_mapped
+    from vergence.recordings.recording_map import load_map
+
+    if any((path / name).exists() for name in DATASET_FILES) or not is_recording(path):
+        yield vg.load_dataset(path)
+        return
+    place = path.parent / MAP
+    if not place.exists():
+        command = invocation("vergence", "import-recording", path)
+        raise VergenceError(f"{path} is a recording without a map; {command} writes a first one.")
+    with TemporaryDirectory(prefix="vergence-") as folder:
+        dataset = Path(folder) / path.name
+        import_mapped(path, load_map(place), dataset, progress=progress)
+        yield vg.load_dataset(dataset)
 
 
 def export_poses(
@@ -61,7 +131,7 @@ def export_poses(
     from vergence.data.description import DESCRIPTION
     from vergence.recordings.camera_poses import dataset_poses, recording_poses
     from vergence.recordings.pose_files import WRITERS
-    from vergence.recordings.recording_map import MAP, load_map
+    from vergence.recordings.recording_map import load_map
 
     if not recording.exists():
         raise VergenceError(f"There is no recording {recording}.")

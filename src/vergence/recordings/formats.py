@@ -14,6 +14,11 @@ FORMATS = (ros, yarp, tables)
 """Modules with `recognise` and `open_recording`, asked in this order."""
 
 
+def is_recording(path: Path) -> bool:
+    """Test whether a path looks like a recording of a known format."""
+    return any(format.recognise(path) for format in FORMATS)
+
+
 @contextmanager
 def open_recording(path: Path | str) -> Iterator[Recording]:
     """Open a recording of any known format for a `with` block.

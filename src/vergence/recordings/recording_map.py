@@ -11,7 +11,7 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
@@ -30,6 +30,11 @@ from vergence.geometry.kinematics import Side
 
 _STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
 MAP = "map.toml"
+UNKNOWN = "?"
+"""Stands in a first map for what cannot be guessed."""
+MAX_GAP_S = 0.1
+"""Longest time between readings [s] between which one is interpolated, if the map states none:
+eyes that turn at a steady rate are at most some milliradians beside the line."""
 MAX_MAP_BYTES = 2**18
 """Largest map [bytes]; one of 64 cameras has 20 kB."""
 Span = tuple[float, float]
@@ -85,7 +90,7 @@ class RecordingMap:
     frames: FrameChoice = field(default_factory=FrameChoice)
     stamps: Literal["header", "received"] = "header"
     """Which times count: those in the messages, or those of the recorder."""
-    max_gap_s: Annotated[float, Field(gt=0, le=10)] = 0.1
+    max_gap_s: Annotated[float, Field(gt=0, le=10)] = MAX_GAP_S
     """Longest time between two readings between which one is interpolated [s]."""
     note: str = ""
 
@@ -95,10 +100,21 @@ def load_map(path: Path) -> RecordingMap:
     return read_parsed(
         path,
         "a map of a recording",
-        lambda content: validated(content, RecordingMap),
+        lambda content: validated(_filled_in(content), RecordingMap),
         tomllib.loads,
         most_bytes=MAX_MAP_BYTES,
     )
+
+
+def _filled_in(content: Any, where: str = "") -> Any:
+    """Return parsed content; ValueError where something is UNKNOWN."""
+    if content == UNKNOWN:
+        raise ValueError(f"{where} is not filled in; found {UNKNOWN!r}")
+    parts = content.items() if isinstance(content, dict) else ()
+    for key, each in parts or enumerate(content if isinstance(content, list) else ()):
+        _filled_in(key, f"{where}, the name of a column,".lstrip(", "))
+        _filled_in(each, f"{where}.{key}".lstrip("."))
+    return content
 
 
 def describe(
