@@ -22,7 +22,6 @@ import tyro
 
 from vergence.arrays import Array
 from vergence.demos.grasp import LONGEST_S, hand_held
-from vergence.gaze.commands import HEAD_JOINTS
 from vergence.gaze.controller import step_gaze
 from vergence.gaze.observation import update_track
 from vergence.gaze.reaching import ReachPhase, ReachSettings, initial_reach_state, step_reach
@@ -47,7 +46,7 @@ def gaze_steps(twin: Twin, frames: int) -> dict[str, list[float]]:
     """Return the times of gaze steps [s], by number of images."""
     seconds: dict[str, list[float]] = defaultdict(list)
     head, settings = SimulatedHead(twin, 0, path), GazeSettings(calibration=twin.truth)
-    state = initial_gaze_state(settings, np.zeros(len(HEAD_JOINTS)), head.now_s())
+    state = initial_gaze_state(settings, np.zeros(len(settings.joints)), head.now_s())
     for k in range(frames + WARM_UP):
         cameras = settings.cameras if k % 8 == 0 else state.cameras
         frame = head.read(cameras)
@@ -67,7 +66,9 @@ def reach_steps(twin: Twin, trials: int) -> dict[str, list[float]]:
     for run in range(1, trials + 1):
         head = SimulatedHead(twin, run, hand_held(0, run))
         head.hand = hand = SimulatedHand(twin, settings.home, arm_mounting_error(0, run))
-        state = initial_reach_state(settings, np.zeros(len(HEAD_JOINTS)), hand.read(), head.now_s())
+        state = initial_reach_state(
+            settings, np.zeros(len(settings.gaze.joints)), hand.read(), head.now_s()
+        )
         while head.now_s() < LONGEST_S and state.phase is not ReachPhase.HELD:
             cameras, frame, reading = state.cameras, head.read(state.cameras), hand.read()
             began = time.thread_time()
@@ -83,7 +84,7 @@ def seen_steps(twin: Twin, frames: int) -> dict[str, list[float]]:
     """Return the times [s] of gaze steps with all images, and of what follows the command."""
     seconds: dict[str, list[float]] = defaultdict(list)
     head, settings = SimulatedHead(twin, 0, path), GazeSettings(twin.truth, geometry="seen")
-    state = initial_gaze_state(settings, np.zeros(len(HEAD_JOINTS)), head.now_s())
+    state = initial_gaze_state(settings, np.zeros(len(settings.joints)), head.now_s())
     for k in range(frames + WARM_UP):
         frame = head.read(state.cameras)
         began = time.thread_time()

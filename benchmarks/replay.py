@@ -18,8 +18,8 @@ import tyro
 
 from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
-from vergence.gaze.commands import HEAD_JOINTS
 from vergence.geometry.head import WIDE
+from vergence.geometry.kinematics import EYE_JOINTS
 from vergence.paper.figures import FIGURES, default_duration_s
 from vergence.paper.replay import SAMPLES, sample_times
 from vergence.paper.reproduce import SAMPLES_WITH_IMAGES, record_replay
@@ -38,7 +38,7 @@ def bare_seconds(twin: Twin, times_s: Array) -> float:
 
     model, data = twin.model, mujoco.MjData(twin.model)
     sizes = overscan_sizes(twin.truth)
-    eyes = [model.joint(name).qposadr[0] for name in HEAD_JOINTS[-4:]]
+    eyes = [model.joint(name).qposadr[0] for name in EYE_JOINTS]
     angles = eye_angles(FIGURE.motion, times_s)
     every = max(1, len(times_s) // SAMPLES_WITH_IMAGES)
     renderers = {s: mujoco.Renderer(model, height=s[1], width=s[0]) for s in set(sizes.values())}

@@ -120,6 +120,7 @@ def skewed_head(rng: np.random.Generator, *, distorted: bool = True) -> HeadCali
             axes=np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, 1]]),
             points_m=rng.normal(size=(3, 3)) * 0.1,
             head_m=rng.normal(size=3) * 0.2,
+            joints=("neck_pitch", "neck_roll", "neck_yaw"),
         ),
     )
 

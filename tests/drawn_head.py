@@ -5,17 +5,10 @@ from collections.abc import Callable, Sequence
 import cv2
 import numpy as np
 
+from postures import LIMITS, NECK_JOINTS
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
-from vergence.gaze.commands import (
-    EYE_READINGS,
-    NECK,
-    HeadCommand,
-    JointLimits,
-    hold,
-    setpoint,
-    setpoints_at,
-)
+from vergence.gaze.commands import HeadCommand, hold, setpoint, setpoints_at
 from vergence.gaze.foveation import gaze_angles
 from vergence.geometry.camera import pinhole, project
 from vergence.geometry.head import (
@@ -49,6 +42,7 @@ def four_cameras() -> HeadCalibration:
         axes=np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, 1]]),
         points_m=np.array([[0, 0, 0.07], [0, 0, 0.105], [0, 0, 0.14]]),
         head_m=np.array([0.06, 0, 0.2]),
+        joints=NECK_JOINTS,
     )
     return HeadCalibration(cameras=cameras, T_rbase_lbase=pose(t=[0, 0.092, 0]), neck=neck)
 
@@ -78,7 +72,7 @@ class DrawnHead:
         self.stuck, self.joint_lag_s = stuck, joint_lag_s
         self.servo_lag_s, self.period_s = servo_lag_s, period_s
         self.noise, self.gain = joint_noise_rad, joint_gain
-        self.commands: list[HeadCommand] = [hold(np.zeros(7), JointLimits(), -1.0)]
+        self.commands: list[HeadCommand] = [hold(np.zeros(7), LIMITS, -1.0)]
         self.number, self.time_s = -1, 0.0
         self.last: Frame | None = None
         self.rng = np.random.default_rng(0)
@@ -114,14 +108,12 @@ class DrawnHead:
             return self.last
         joint_s = max(image_s - self.joint_lag_s, 0.0)
         reading = self.posture(joint_s)
-        reading[EYE_READINGS] = self.gain * reading[EYE_READINGS] + self.rng.normal(
-            0, self.noise, 4
-        )
+        reading[-4:] = self.gain * reading[-4:] + self.rng.normal(0, self.noise, 4)
         self.last = Frame(
             image_s,
             joint_s,
-            reading[EYE_READINGS],
-            reading[NECK],
+            reading[-4:],
+            reading[: len(self.calibration.neck.axes)],
             {name: self._draw(name, image_s) for name in cameras},
         )
         return self.last
@@ -129,8 +121,8 @@ class DrawnHead:
     def in_camera(self, name: str, time_s: float, point: Array) -> Array:
         """Map a point (3,) [m] from frame body to frame cam."""
         angles, eye = self.posture(time_s), self.calibration.cameras[name].eye
-        eyes = angles[EYE_READINGS]
-        T = base_pose_in_body(self.calibration, eye, angles[NECK])
+        eyes = angles[-4:]
+        T = base_pose_in_body(self.calibration, eye, angles)
         return transform(inverse(T @ camera_pose_in_base(self.calibration, name, eyes)), point)
 
     def _draw(self, name: str, time_s: float) -> np.ndarray:

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 
 from drawn_head import DrawnHead
+from postures import EYE_READINGS
 from vergence.arrays import Array
-from vergence.gaze.commands import EYE_READINGS
 from vergence.geometry.camera import Camera, normalise
 from vergence.geometry.head import HeadCalibration, camera_pose_in_base
 from vergence.geometry.lens import CameraModel

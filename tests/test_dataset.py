@@ -116,7 +116,7 @@ def test_units_signs_and_columns_are_those_of_the_head(folder):
     np.testing.assert_allclose(dataset.eye_angles[1, [0, 1]], np.radians([-20, -10]))
     # Both tilts are one reading.
     assert dataset.description.head_kinematics.readings == ("left_pan", "left_tilt", "right_pan")
-    np.testing.assert_allclose(dataset.neck_angles, [[0, 0, -0.3]] * 2)
+    np.testing.assert_allclose(dataset.neck_angles, [[-0.3]] * 2)
 
 
 def test_an_unknown_camera_of_a_dataset_is_named(folder):

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from postures import NECK_JOINTS
 from recordings import CHARUCO, refusal, small_dataset
 from simulated_head import random_pose
 from vergence.data.dataset import Frame, runs
@@ -15,7 +16,6 @@ from vergence.data.reader import load_dataset
 from vergence.data.writer import DatasetRow, write_dataset
 from vergence.errors import VergenceError
 from vergence.geometry.kinematics import EYE_JOINTS
-from vergence.geometry.neck import NECK_JOINTS
 
 
 def entries(count: int, rng: np.random.Generator) -> list[DatasetRow]:

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from drawn_head import DrawnHead, four_cameras, point_at, straight_to
+from postures import EYE_READINGS, HEAD_JOINTS, NECK
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.errors import VergenceError
-from vergence.gaze.commands import EYE_READINGS, HEAD_JOINTS, NECK, joint_limits
+from vergence.gaze.commands import joint_limits
 from vergence.gaze.controller import run_gaze, step_gaze
 from vergence.gaze.reaching import ReachSettings
 from vergence.gaze.state import (
@@ -170,7 +171,7 @@ def test_settings_without_something_to_look_at_are_refused():
 
 
 def test_a_neck_that_the_calibration_does_not_describe_cannot_share():
-    with pytest.raises(VergenceError, match=r"neck_pitch.*has 0 neck joints"):
+    with pytest.raises(VergenceError, match="has 0 neck joints"):
         GazeSettings(calibration=replace(HEAD, neck=Neck()), use_neck=True)
 
 
@@ -209,7 +210,7 @@ def test_images_that_are_not_those_of_the_calibration_are_refused(images, words:
 @pytest.mark.parametrize(
     ("eye_angles", "neck_angles", "words"),
     [
-        (np.zeros(4), np.empty(0), r"3 neck angles neck_pitch, .*shape \(0,\).* read zero"),
+        (np.zeros(4), np.empty(0), r"3 neck angles neck_pitch, .*shape \(0,\)"),
         (np.zeros(7), np.zeros(3), r"4 joint readings left_pan, .*shape \(7,\)"),
         (np.zeros((1, 4)), np.zeros(3), r"4 joint readings left_pan, .*shape \(1, 4\)"),
     ],
@@ -257,7 +258,9 @@ def test_reaching_needs_two_eyes():
 
 def test_limits_are_given_by_the_names_of_joints_and_the_others_stay():
     limits = joint_limits(
-        {"left_pan": (-0.5, 0.6), "left_tilt": (-0.3, 0.3)}, {"left_pan": 4.0, "left_tilt": 5.0}
+        {"left_pan": (-0.5, 0.6), "left_tilt": (-0.3, 0.3)},
+        {"left_pan": 4.0, "left_tilt": 5.0},
+        joints=HEAD_JOINTS,
     )
     pan = HEAD_JOINTS.index("left_pan")
     assert limits.range_rad[pan].tolist() == [-0.5, 0.6]
@@ -281,4 +284,4 @@ def test_limits_are_given_by_the_names_of_joints_and_the_others_stay():
 )
 def test_impossible_limits_are_refused_by_name(ranges, speeds, words: str):
     with pytest.raises(VergenceError, match=words):
-        joint_limits(ranges, speeds)
+        joint_limits(ranges, speeds, joints=HEAD_JOINTS)

@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 
 from drawn_head import PERIOD_S, DrawnHead, four_cameras, point_at
+from postures import EYE_READINGS, LIMITS, NECK
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
-from vergence.gaze.commands import EYE_READINGS, NECK, JointLimits, setpoint
+from vergence.gaze.commands import setpoint
 from vergence.gaze.controller import step_gaze
 from vergence.gaze.state import GazePhase, GazeSettings, GazeState, initial_gaze_state, look_at
 from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.kinematics import EYE_JOINTS
 
-SETTINGS = GazeSettings(calibration=four_cameras())
+SETTINGS = GazeSettings(calibration=four_cameras(), limits=LIMITS)
 WITH_NECK = replace(SETTINGS, use_neck=True)
-LIMITS = JointLimits()
 STEP_S = 0.08
 
 

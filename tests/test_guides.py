@@ -3,6 +3,7 @@
 import json
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -25,7 +26,9 @@ from vergence import cli
 from vergence.data.dataset import Frame
 from vergence.data.description import Description
 from vergence.data.reader import load_dataset
+from vergence.gaze.commands import hold, usual_limits
 from vergence.geometry.head import save_head
+from vergence.geometry.neck import Neck
 from vergence.geometry.se3 import boxminus
 
 
@@ -99,6 +102,8 @@ def test_the_guide_to_other_joints_describes_and_uses_them(tmp_path, monkeypatch
 def test_the_guide_to_drivers_moves_a_head(tmp_path, monkeypatch, capsys):
     """The stand-in for motors and cameras is a drawn head, whose tilt encoders count upwards."""
     drawn = DrawnHead(lambda _: point_at(10, 5, 0.6))
+    drawn.calibration = replace(four_cameras(), neck=Neck())
+    drawn.commands = [hold(np.zeros(4), usual_limits(drawn.calibration), -1.0)]
     sign = {"left_pan": 1, "left_tilt": -1, "right_pan": 1, "right_tilt": -1}
     moved: list[dict[str, float]] = []
 
@@ -113,13 +118,13 @@ def test_the_guide_to_drivers_moves_a_head(tmp_path, monkeypatch, capsys):
 
     bus = SimpleNamespace(time_s=drawn.now_s, angles_rad=angles_rad, move_to=moved.append)
     driver: dict[str, Any] = {"bus": bus, "cameras": SimpleNamespace(grab=grab)}
-    save_head(four_cameras(), tmp_path / "head.json")
+    save_head(drawn.calibration, tmp_path / "head.json")
     monkeypatch.chdir(tmp_path)
     run_blocks("docs/own_driver.md", driver)
     assert drawn.errors_px(drawn.time_s).max() < 0.5
     assert "fixation at [" in capsys.readouterr().out
     assert moved[-1]["left_pan"] > 0.05
-    np.testing.assert_allclose(moved[-1]["left_tilt"], -drawn.posture(drawn.time_s)[4], atol=1e-3)
+    np.testing.assert_allclose(moved[-1]["left_tilt"], -drawn.posture(drawn.time_s)[1], atol=1e-3)
 
 
 @pytest.mark.slow

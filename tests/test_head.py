@@ -70,7 +70,7 @@ def test_a_camera_moves_with_pan_then_with_the_neck():
         (quarter, quarter, (-0.065, 0.0, 1.0), (-1, 0, 0)),
     ):
         T_lbase_cam = camera_pose_in_base(head, "left_wide", np.array([pan, 0.0, 0.0, 0.0]))
-        T_body_cam = base_pose_in_body(head, "left", np.array([0.3, -0.2, yaw])) @ T_lbase_cam
+        T_body_cam = base_pose_in_body(head, "left", np.array([yaw])) @ T_lbase_cam
         np.testing.assert_allclose(T_body_cam[:3, 3], where, atol=1e-15)
         np.testing.assert_allclose(T_body_cam[:3, 2], towards, atol=1e-15)
 

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from postures import LIMITS
 from rrd import read_series
 from vergence.arrays import Array
 from vergence.demos import track as module
 from vergence.demos.experiment import Experiment
 from vergence.demos.track import SPEED_M_S, follow, smooth_path, track
 from vergence.errors import VergenceError
-from vergence.gaze.commands import JointLimits
 from vergence.gaze.controller import run_gaze
 from vergence.gaze.state import GazeSettings, initial_gaze_state
 from vergence.twin.head import Twin
@@ -67,7 +67,7 @@ def test_a_gaze_shift_shared_with_the_neck_keeps_the_image_still():
         run_gaze(head, settings, initial_gaze_state(settings, np.zeros(7), 0.0), 2.0, watch=keep)
     times = np.array([t for t, _, _ in seen])
     errors, angles = np.array([e.max() for _, e, _ in seen]), np.array([a for _, _, a in seen])
-    limits = JointLimits().range_rad
+    limits = LIMITS.range_rad
     assert (angles >= limits[:, 0] - 1e-3).all()
     assert (angles <= limits[:, 1] + 1e-3).all()
     turning = np.abs(np.gradient(angles[:, 2], times)) > 0.05

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from other_heads import KINDS
+from postures import NECK_JOINTS
 from simulated_head import pan_tilt_pose
 from vergence.data.dataset import Frame
 from vergence.geometry.head import HeadCalibration, base_pose_in_body, camera_pose_in_base
 from vergence.geometry.kinematics import Kinematics
-from vergence.geometry.neck import NECK_JOINTS
 from vergence.geometry.se3 import pose
 from vergence.twin.head import Twin
 from vergence.twin.model import (

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from postures import NECK_JOINTS
 from simulated_head import unskewed_head
 from vergence.errors import VergenceError
 from vergence.gaze.commands import joint_limits
@@ -17,7 +18,7 @@ from vergence.geometry.head import base_pose_in_body, camera_pose_in_base
 from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics
-from vergence.geometry.neck import NECK_JOINTS, Neck, head_pose
+from vergence.geometry.neck import Neck, head_pose
 from vergence.geometry.se3 import inverse, pose, rotation, rotvec
 from vergence.interchange import urdf
 from vergence.interchange.formats import export_head

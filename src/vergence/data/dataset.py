@@ -40,7 +40,7 @@ class Frame:
     eye_angles: Array
     """(r,) joint readings of the eyes [rad] in the order of the head's kinematics.readings."""
     neck_angles: Array
-    """(3,) joint readings of the neck [rad] in the order of neck.NECK_JOINTS."""
+    """(n,) joint readings of the neck [rad] in the order of its joints, from the body outwards."""
     images: Mapping[str, np.ndarray]
     """By camera name: (H, W, 3) uint8, RGB."""
 
@@ -64,7 +64,7 @@ class Dataset:
     """(N, 2, 4, 4) poses of the left and the right eye in their bases, the identity for an eye
     without cameras; None where joint angles are given instead."""
     neck_angles: Array
-    """(N, 3) [rad] in the order of neck.NECK_JOINTS; 0 for joints without a column."""
+    """(N, n) [rad] in the order of description.neck_joints."""
     placement: np.ndarray
     """(N,) of int: rows with the same number show the board at the same pose in frame head."""
     moving: np.ndarray

@@ -16,7 +16,7 @@ from vergence.arrays import Vector3
 from vergence.geometry.board import Board
 from vergence.geometry.camera import MAX_IMAGE_PX, Camera, check_image_size
 from vergence.geometry.head import MAX_CAMERAS, check_camera_name
-from vergence.geometry.joints import Joint
+from vergence.geometry.joints import Joint, ReadingName
 from vergence.geometry.kinematics import (
     AXIS_NAMES,
     EYE_JOINTS,
@@ -26,7 +26,6 @@ from vergence.geometry.kinematics import (
     Side,
     pan_tilt,
 )
-from vergence.geometry.neck import NECK_JOINTS
 
 DESCRIPTION, FRAMES = "dataset.json", "frames.csv"
 TIME, JOINT_TIME, PLACEMENT, MOVING = "time_s", "joint_time_s", "placement", "moving"
@@ -107,9 +106,9 @@ class Description:
     cameras: dict[str, DatasetCamera]
     board: Annotated[Board, Field(discriminator="kind")] | None = None
     """None: a recording without a board, for self-calibration and depth."""
-    joints: dict[str, DatasetJoint] = field(default_factory=dict)
-    """Pan and tilt of each eye that has cameras, unless `kinematics` or poses are given; optionally
-    the neck's."""
+    joints: dict[ReadingName, DatasetJoint] = field(default_factory=dict)
+    """Pan and tilt of each eye that has cameras, unless `kinematics` or poses are given; all others
+    are the neck's, from the body outwards."""
     kinematics: dict[Side, tuple[EyeJoint, ...]] | None = None
     """Joints of each eye that has cameras, from the head outwards; None: pan, then tilt."""
     readings: dict[str, DatasetReading] = field(default_factory=dict)
@@ -141,10 +140,6 @@ class Description:
                 )
         if self.board is not None:
             yield from _board_contradictions(self.board)
-        joints = *EYE_JOINTS, *NECK_JOINTS
-        for name in self.joints:
-            if name not in joints:
-                yield f"joints.{name}: expected one of {', '.join(joints)}"
         yield from self._contradictory_motion()
         name, uses = Counter(self.columns).most_common(1)[0]
         if uses > 1 or not all(name.strip() for name in self.columns):
@@ -186,6 +181,11 @@ class Description:
             for name, reading in self.readings.items()
         }
         return self.joints | readings
+
+    @property
+    def neck_joints(self) -> tuple[str, ...]:
+        """Names of the joints of the neck, in their order."""
+        return tuple(name for name in self.joints if name not in EYE_JOINTS)
 
     @cached_property
     def head_kinematics(self) -> Kinematics:

@@ -24,7 +24,6 @@ from vergence.errors import VergenceError
 from vergence.files import file_inside, parse_json, read_parsed, validated
 from vergence.findings import Finding, note
 from vergence.geometry.kinematics import EYES, Kinematics, eye_joint_angles
-from vergence.geometry.neck import NECK_JOINTS
 
 MOVED_RAD = 0.01
 """Smallest turn between rows that counts as motion; above the noise of encoders."""
@@ -53,7 +52,7 @@ def load_dataset(folder: str | Path) -> Dataset:
     time_s, joint_time_s = time_stamps(table)
     kinematics = description.head_kinematics
     eye_angles = joint_angles(description, kinematics.readings, table)
-    neck_angles = joint_angles(description, NECK_JOINTS, table)
+    neck_angles = joint_angles(description, description.neck_joints, table)
     T_base_eye, findings = None, ()
     if poses:
         T_base_eye, findings = measured_eye_poses(description, table)
@@ -68,7 +67,7 @@ def load_dataset(folder: str | Path) -> Dataset:
         eye_angles=np.full_like(eye_angles, np.nan) if poses else eye_angles,
         T_base_eye=T_base_eye,
         neck_angles=neck_angles,
-        placement=placements(neck_angles, table),
+        placement=placements(description.neck_joints, neck_angles, table),
         moving=moving,
         files=_image_files(folder, description, table),
         findings=findings,

@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import re
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from io import StringIO
 from math import nan
@@ -27,7 +28,6 @@ from vergence.errors import VergenceError, counted, explain
 from vergence.files import MAX_DIGITS, read_bytes
 from vergence.findings import Finding
 from vergence.geometry.kinematics import EYES
-from vergence.geometry.neck import NECK_JOINTS
 from vergence.geometry.se3 import rigid_poses
 
 MAX_DELAY_S = 1.0
@@ -185,8 +185,11 @@ def _within_half_a_turn(description: Description, name: str, angles: Array, tabl
     return wrapped
 
 
-def placements(neck_angles: Array, table: Table) -> np.ndarray:
-    """Parse the placements (N,); a row without one gets a number of its own."""
+def placements(neck: Sequence[str], neck_angles: Array, table: Table) -> np.ndarray:
+    """Parse the placements (N,); a row without one gets a number of its own.
+
+    `neck` are the names of the n joints with the angles (N, n) [rad].
+    """
     stated = table.whole_numbers(PLACEMENT, 10**9)
     placement = np.where(stated < 0, stated.max() + np.cumsum(stated < 0), stated)
     _, first, group = np.unique(placement, return_index=True, return_inverse=True)
@@ -194,7 +197,7 @@ def placements(neck_angles: Array, table: Table) -> np.ndarray:
     moved = (motion > 0.02).any(axis=1)  # above the noise of encoders
     for k in np.flatnonzero(moved).tolist():
         raise VergenceError(
-            f"{table.where(k)}: {NECK_JOINTS[motion[k].argmax()]} has moved by "
+            f"{table.where(k)}: {neck[motion[k].argmax()]} has moved by "
             f"{motion[k].max():.3f} rad since line {table.lines[first[group][k]]}, so the board is "
             "no longer at the same place in the head; give it another "
             f"{PLACEMENT} than {placement[k]}."

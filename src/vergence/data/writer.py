@@ -29,7 +29,6 @@ from vergence.data.table import Table, joint_angles, measured_eye_poses, placeme
 from vergence.errors import VergenceError
 from vergence.files import whole_folder
 from vergence.geometry.kinematics import EYES
-from vergence.geometry.neck import NECK_JOINTS
 
 _Cells = dict[str, object]
 """A row of frames.csv by column, without its images."""
@@ -111,7 +110,8 @@ def _check_rows(description: Description, rows: list[_Cells], first: int) -> Non
     table = Table(Path(FRAMES), tuple(range(first + 2, len(rows) + 2)), columns)
     time_stamps(table)
     joint_angles(description, description.head_kinematics.readings, table)
-    placements(joint_angles(description, NECK_JOINTS, table), table)
+    neck = description.neck_joints
+    placements(neck, joint_angles(description, neck, table), table)
     if description.eye_motion == "poses":
         measured_eye_poses(description, table)
 
@@ -125,9 +125,10 @@ def _cells(description: Description, row: DatasetRow) -> _Cells:
         PLACEMENT: row.placement,
         MOVING: int(row.moving),
     }
-    names = *description.head_kinematics.readings, *NECK_JOINTS
+    names = *description.head_kinematics.readings, *description.neck_joints
+    neck = frame.neck_angles if description.neck_joints else ()
     try:
-        readings = np.concatenate([frame.eye_angles, frame.neck_angles], dtype=float)
+        readings = np.concatenate([frame.eye_angles, neck], dtype=float)
     except (TypeError, ValueError):
         readings = np.zeros(0)
     if readings.shape != (len(names),):

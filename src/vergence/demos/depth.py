@@ -17,7 +17,6 @@ from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.demos.experiment import LOOKING, Experiment
-from vergence.gaze.commands import EYE_READINGS
 from vergence.geometry.camera import project, unproject
 from vergence.geometry.head import HeadCalibration, pair_names
 from vergence.geometry.se3 import transform
@@ -165,7 +164,7 @@ def _pairs(
     for k in range(pairs):
         posture = straight_neck(eye_angles("divergent", np.array(STEP_S * k)))
         twin.advance(twin.time_s + 0.5, posture)
-        angles = twin.true_angles()[EYE_READINGS]
+        angles = twin.true_readings()
         frame = twin.capture((left, right))
         visual = None if visual is None else update_geometry(visual, frame)
         truth = DepthTruth(twin.truth, angles, twin.true_depth(left))

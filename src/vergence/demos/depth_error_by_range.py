@@ -14,7 +14,6 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
-from vergence.gaze.commands import EYE_READINGS
 from vergence.gaze.state import GazeSettings, GazeState
 from vergence.geometry.head import base_pose, base_pose_in_body
 from vergence.geometry.se3 import inverse, transform
@@ -81,7 +80,7 @@ def depth_sample(
     T_lbase_body = inverse(base_pose_in_body(settings.calibration, "left", frame.neck_angles))
     error = transform(T_lbase_body, state.measured) - truth
     left_px, right_px = np.array([left.pixel, right.pixel]) - true_pixels(twin, settings)
-    reading_errors = frame.eye_angles - twin.true_angles()[EYE_READINGS]
+    reading_errors = frame.eye_angles - twin.true_readings()
     return DepthSample(
         time_s=frame.time_s,
         distance_m=distance,

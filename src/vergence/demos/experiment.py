@@ -14,7 +14,6 @@ from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.errors import VergenceError, check_seed
 from vergence.files import as_json, results_folder, write_json
-from vergence.gaze.commands import EYE_READINGS
 from vergence.gaze.state import GazeSettings, GazeState
 from vergence.geometry.head import base_pose_in_body
 from vergence.geometry.projection import project_point
@@ -157,14 +156,14 @@ def _watch(rec: Recording, twin: Twin, settings: GazeSettings) -> Watch:
         latest_s = frame.time_s
         T_body_lbase = base_pose_in_body(head, "left", frame.neck_angles)
         if not count:
-            log_gaze_styles(rec, twin.T_world_lbase() @ inverse(T_body_lbase))
+            log_gaze_styles(rec, settings, twin.T_world_lbase() @ inverse(T_body_lbase))
             if state.geometry is not None:
                 log_seen_styles(rec, head, state.geometry.state)
         poses = twin.body_poses()
         where, errors_px = twin.true_object(), foveal_errors(twin, settings)
         if poses["object"][2, 3] < 0:  # hidden, below the floor
             where, errors_px = np.full(3, np.nan), np.full(len(settings.eyes), np.nan)
-        eyes = twin.true_angles()[EYE_READINGS]
+        eyes = twin.true_readings()
         lanes = {"gaze": state.phase.value, **lanes}
         changed = {
             lane: lanes.get(lane, "")

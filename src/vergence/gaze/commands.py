@@ -3,14 +3,14 @@
 A command describes the motion until the next command arrives, so that a driver can renew its set
 points at any time, and the controller knows those at the time of any frame.
 
-A posture has j joints: the three of the neck, then the readings of the eyes in the order of the
-head's kinematics. HEAD_JOINTS is the order for eyes that pan and tilt.
+A posture has j joints: those of the neck, from the body outwards, then the readings of the eyes in
+the order of the head's kinematics.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -19,12 +19,14 @@ from numpy.typing import ArrayLike
 from vergence.arrays import Array
 from vergence.data.dataset import Dataset, Frame
 from vergence.errors import VergenceError
-from vergence.geometry.kinematics import EYE_JOINTS
-from vergence.geometry.neck import NECK_JOINTS
+from vergence.geometry.head import HeadCalibration
+from vergence.geometry.neck import Neck
 
-HEAD_JOINTS = (*NECK_JOINTS, *EYE_JOINTS)
-NECK, EYE_READINGS = slice(0, len(NECK_JOINTS)), slice(len(NECK_JOINTS), None)
-"""Columns of the neck and of both eyes in a posture (..., j)."""
+USUAL_RANGE_RAD = float(np.radians(30))
+"""Usual reach of a joint to either side [rad]; iCub's eyes and neck reach at least as far."""
+USUAL_SPEED_RAD_S = {"neck": 3.0, "eyes": 10.0}
+"""Usual speeds [rad/s]: of a neck, and of eyes; a human eye makes a saccade of 15 degrees as
+fast."""
 HOLD_S = 0.1
 """Time after which a moving goal stops if no further command arrives [s]; three frames."""
 _AGES = (np.arange(100) + 0.5) * 0.08
@@ -35,20 +37,16 @@ _WEIGHTS = np.exp(-_AGES) / np.exp(-_AGES).sum()
 
 @dataclass(frozen=True, eq=False)
 class JointLimits:
-    """Ranges and speeds of the joints; the default is the head of this project's model."""
+    """Ranges and speeds of the joints of a posture."""
 
-    range_rad: Array = field(
-        default_factory=lambda: np.radians(
-            [(-30, 40), (-30, 30), (-50, 50), (-35, 35), (-30, 30), (-35, 35), (-30, 30)]
-        )
-    )
+    range_rad: Array
     """(j, 2) lower and upper end of each joint's range."""
-    speed_rad_s: Array = field(default_factory=lambda: np.array([3.0] * 3 + [10.0] * 4))
+    speed_rad_s: Array
     """(j,) maximum speed of the set points."""
+    joints: tuple[str, ...]
+    """Names of the joints."""
     margin_rad: float = float(np.radians(0.25))
     """Distance of the set points from the ends of the ranges: servos overshoot a little."""
-    joints: tuple[str, ...] = HEAD_JOINTS
-    """Names of the joints."""
 
     def __post_init__(self) -> None:
         shapes, j = (np.shape(self.range_rad), np.shape(self.speed_rad_s)), len(self.joints)
@@ -77,7 +75,7 @@ def joint_limits(
     range_rad: Mapping[str, tuple[float, float]],
     speed_rad_s: Mapping[str, float],
     *,
-    joints: Sequence[str] = HEAD_JOINTS,
+    joints: Sequence[str],
 ) -> JointLimits:
     """Make limits from the ranges and maximum speeds of some joints; the others stay at zero.
 
@@ -92,7 +90,23 @@ def joint_limits(
     return JointLimits(
         np.array([range_rad.get(name, (0.0, 0.0)) for name in joints], float),
         np.array([speed_rad_s.get(name, 1.0) for name in joints], float),
-        joints=tuple(joints),
+        tuple(joints),
+    )
+
+
+def posture_joints(head: HeadCalibration) -> tuple[str, ...]:
+    """Name the joints of a posture (j,): the neck's, then the readings of the eyes."""
+    return (*head.neck.names, *head.kinematics.readings)
+
+
+def usual_limits(head: HeadCalibration) -> JointLimits:
+    """Make usual limits of a head whose own are not stated."""
+    farther = np.append(np.ones(len(head.neck.axes)), head.kinematics.gear_ratios)
+    speeds = [USUAL_SPEED_RAD_S["neck"]] * len(head.neck.axes)
+    speeds += [USUAL_SPEED_RAD_S["eyes"]] * len(head.kinematics.readings)
+    reach = USUAL_RANGE_RAD / farther
+    return JointLimits(
+        np.stack([-reach, reach], axis=-1), np.array(speeds) / farther, posture_joints(head)
     )
 
 
@@ -146,8 +160,7 @@ def hold(posture: ArrayLike, limits: JointLimits, time_s: float) -> HeadCommand:
     if posture.shape != (len(limits.joints),) or not np.isfinite(posture).all():
         raise VergenceError(
             f"A posture has the {len(limits.joints)} angles {', '.join(limits.joints)} [rad], all "
-            f"finite; found an array of shape {posture.shape}: {posture.tolist()}. Joints that the "
-            "head does not have are at zero."
+            f"finite; found an array of shape {posture.shape}: {posture.tolist()}."
         )
     return HeadCommand(time_s, posture, posture, np.zeros(len(posture)), limits)
 
@@ -171,9 +184,15 @@ class HeadDriver(Protocol):
 class RecordedHead:
     """A driver that replays a dataset in open loop: commands have no effect."""
 
-    def __init__(self, dataset: Dataset):
-        """Start before the first row of the dataset."""
+    def __init__(self, dataset: Dataset, neck: Neck | None = None):
+        """Start before the first row of a dataset of a head with this neck; None: it has none.
+
+        A joint of the neck without a column is at zero.
+        """
         self._dataset, self._reads = dataset, 0
+        angles = dict(zip(dataset.description.neck_joints, dataset.neck_angles.T, strict=True))
+        zero = np.zeros(len(dataset))
+        self._neck = [angles.get(name, zero) for name in (neck.names if neck else ())]
 
     def now_s(self) -> float:
         """Return the time of the latest row [s]; it increases after the last row."""
@@ -186,7 +205,9 @@ class RecordedHead:
         self._reads += 1
         if self._reads > len(self._dataset):
             return None
-        return self._dataset.frame(self._reads - 1)
+        row = self._reads - 1
+        angles = np.array([column[row] for column in self._neck])
+        return replace(self._dataset.frame(row), neck_angles=angles)
 
     def command(self, command: HeadCommand) -> None:
         """Ignore the command."""

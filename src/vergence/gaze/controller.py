@@ -21,8 +21,6 @@ from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.data.table import MAX_DELAY_S
 from vergence.gaze.commands import (
-    EYE_READINGS,
-    NECK,
     HeadCommand,
     HeadDriver,
     hold,
@@ -43,7 +41,6 @@ from vergence.gaze.observation import (
 from vergence.gaze.state import GazePhase, GazeSettings, GazeState
 from vergence.geometry.head import base_pose_in_body, dead_bands
 from vergence.geometry.kinematics import eye_turn, readings_to_turn
-from vergence.geometry.neck import NECK_JOINTS
 from vergence.geometry.se3 import inverse, transform
 
 _SEARCH_RAD = np.array(
@@ -106,7 +103,7 @@ def step_gaze(
 
 
 def _in_left_base(settings: GazeSettings, points_body: Array, neck: Array) -> Array:
-    """Map points (..., 3) [m] from frame body into the left eye's base at neck angles (..., 3)."""
+    """Map points (..., 3) [m] from frame body into the left eye's base at neck angles (..., n)."""
     return transform(inverse(base_pose_in_body(settings.calibration, "left", neck)), points_body)
 
 
@@ -119,9 +116,9 @@ def _follow(
     """
     calibration, aim, image_s = settings.calibration, state.aim, state.frame_s
     assert aim is not None  # `aim_at_assumed_depth` sets it if there is no measurement
-    neck_then = posture[NECK]
+    neck_then = posture[settings.neck]
     moved = setpoint(state.command, now_s) - setpoints_at(state.commands, image_s)
-    neck_now = neck_then + moved[NECK]
+    neck_now = neck_then + moved[settings.neck]
     if settings.use_neck:
         aim_now = _in_left_base(settings, aim.position, neck_now)
         eyes_now = gaze_angles(calibration, aim_now, cameras=settings.narrow)
@@ -154,20 +151,19 @@ def _turn_neck(settings: GazeSettings, state: GazeState, eyes: Array, now_s: flo
     if not np.isfinite(turns).all():
         return state
     _, tilt, pan = np.mean(turns, axis=0)
-    calibrated = np.isin(NECK_JOINTS, settings.calibration.neck.names)
-    away = np.where(calibrated, [tilt, 0.0, pan], 0.0)  # pitch, roll, yaw
+    away = settings.calibration.neck.axes @ np.array([0.0, tilt, pan])
     start_rad, stop_rad = settings.comfort_rad
     turning = np.abs(away).max() > (stop_rad if state.neck_rate.any() else start_rad)
     top = settings.neck_speed_rad_s
-    wanted = np.clip(settings.neck_gain_hz * away, -top, top) if turning else np.zeros(3)
-    at = setpoint(state.command, now_s)[NECK]
-    lower, upper = settings.limits.setpoint_range_rad[NECK].T
+    wanted = np.clip(settings.neck_gain_hz * away, -top, top) if turning else np.zeros(len(away))
+    at = setpoint(state.command, now_s)[settings.neck]
+    lower, upper = settings.limits.setpoint_range_rad[settings.neck].T
     # Slow enough to stop at the end of the range with half the braking, which covers a frame.
     braking = settings.neck_acceleration_rad_s2 * np.maximum([at - lower, upper - at], 0)
     wanted = np.clip(wanted, -np.sqrt(braking[0]), np.sqrt(braking[1]))
     change = settings.neck_acceleration_rad_s2 * min(now_s - state.command.time_s, 0.1)
     rate = state.neck_rate + np.clip(wanted - state.neck_rate, -change, change)
-    blocked = np.isin(settings.joints[NECK], state.stuck)
+    blocked = np.isin(settings.joints[settings.neck], state.stuck)
     blocked |= ((at >= upper) & (rate > 0)) | ((at <= lower) & (rate < 0))
     return replace(state, neck_rate=np.where(blocked, 0.0, rate))
 
@@ -180,16 +176,16 @@ def _move_eyes(
     The eyes' target readings (r,) [rad] now, NaN: stay, move at a rate (r,) [rad/s], NaN: zero.
     """
     at = setpoint(state.command, now_s)
-    goal = np.where(np.isfinite(goal), goal, at[EYE_READINGS])
+    goal = np.where(np.isfinite(goal), goal, at[settings.readings])
     rate = np.where(np.isfinite(rate), rate, 0.0)
-    lower, upper = settings.limits.setpoint_range_rad[EYE_READINGS].T
-    distance = np.abs(np.clip(goal, lower, upper) - at[EYE_READINGS])
+    lower, upper = settings.limits.setpoint_range_rad[settings.readings].T
+    distance = np.abs(np.clip(goal, lower, upper) - at[settings.readings])
     on_point = not isinstance(state.target, str)  # images do not show the error of the gaze
     foveal = on_point or all(state.detections.get(name) is not None for name in settings.narrow)
     landing = state.landing_s
     if distance.max() > settings.saccade_rad or state.phase is GazePhase.LOST:
         phase = GazePhase.SACCADE
-        takes_s = (distance / settings.limits.speed_rad_s[EYE_READINGS]).max()
+        takes_s = (distance / settings.limits.speed_rad_s[settings.readings]).max()
         landing = now_s + takes_s + settings.settle_s
     elif not foveal or (goal < lower).any() or (goal > upper).any():  # until the neck follows
         phase = GazePhase.SACCADE
@@ -197,11 +193,11 @@ def _move_eyes(
         phase = GazePhase.PURSUIT if _is_moving(settings, state) else GazePhase.FIXATION
     if phase is GazePhase.FIXATION:  # eyes do not follow within the backlash, and would hunt
         still = distance < dead_bands(settings.calibration)
-        goal, rate = np.where(still, at[EYE_READINGS], goal), np.where(still, 0.0, rate)
+        goal, rate = np.where(still, at[settings.readings], goal), np.where(still, 0.0, rate)
     command = HeadCommand(
         now_s,
         at,
-        np.concatenate([at[NECK], goal]),
+        np.concatenate([at[settings.neck], goal]),
         np.concatenate([state.neck_rate, rate]),
         settings.limits,
     )
@@ -261,13 +257,14 @@ def _wait_or_search(settings: GazeSettings, state: GazeState, now_s: float) -> G
             track=None,
             aim=None,
             measured=None,
-            neck_rate=np.zeros(3),
+            neck_rate=np.zeros(len(settings.calibration.neck.axes)),
         )
     if now_s < state.since_s + settings.search_s or now_s < state.landing_s + settings.dwell_s:
         return state
     pan, tilt = _SEARCH_RAD[state.searched % len(_SEARCH_RAD)]
-    turns = np.isin(NECK_JOINTS, settings.calibration.neck.names if settings.use_neck else ())
-    neck = np.where(turns, [0.0, 0.0, pan], at[NECK])
+    neck = at[settings.neck]
+    if settings.use_neck:
+        neck = settings.calibration.neck.axes @ np.array([0.0, 0.0, pan])
     eyes = readings_to_turn(settings.calibration.kinematics, np.array([0.0, tilt, pan]))
     goal = np.concatenate([neck, eyes])
     command = HeadCommand(now_s, at, goal, np.zeros(len(goal)), settings.limits)

@@ -11,7 +11,7 @@ from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.data.table import MAX_DELAY_S
 from vergence.errors import VergenceError
-from vergence.gaze.commands import EYE_READINGS, HOLD_S, NECK, setpoints_at
+from vergence.gaze.commands import HOLD_S, setpoints_at
 from vergence.gaze.kalman import Track, begin, fuse, predict
 from vergence.gaze.state import GazeSettings, GazeState
 from vergence.geometry.camera import check_image_fits, unproject
@@ -127,7 +127,7 @@ def _stuck_joints(
 def _readings(settings: GazeSettings, frame: Frame) -> Array:
     """Check a frame's readings (j,) [rad]."""
     eyes = checked_readings(settings.calibration.kinematics, frame.eye_angles, one_posture=True)
-    return np.concatenate([checked_neck_angles(frame.neck_angles), eyes])
+    return np.concatenate([checked_neck_angles(settings.calibration.neck, frame.neck_angles), eyes])
 
 
 def readings_at_image(settings: GazeSettings, state: GazeState, frame: Frame) -> Array:
@@ -152,7 +152,7 @@ def posture_at_image(settings: GazeSettings, state: GazeState, frame: Frame) -> 
     Those of the heavy neck, which lags, and of stuck joints are readings.
     """
     use_reading = np.isin(settings.joints, state.stuck)
-    use_reading[NECK] = True
+    use_reading[settings.neck] = True
     by_commands = setpoints_at(state.commands, frame.time_s, settings.servo_lag_s)
     return np.where(use_reading, readings_at_image(settings, state, frame), by_commands)
 
@@ -177,7 +177,7 @@ def object_rays(settings: GazeSettings, state: GazeState, posture: Array) -> Ray
         if view is not None:
             name, found = view
             ray = unproject(settings.calibration.camera(name).intrinsics, found.pixel)
-            T = camera_pose_in_base(settings.calibration, name, posture[EYE_READINGS])
+            T = camera_pose_in_base(settings.calibration, name, posture[settings.readings])
             rays[eye] = T[:3, 3], T[:3, :3] @ ray
     return rays
 
@@ -209,7 +209,7 @@ def update_track(settings: GazeSettings, state: GazeState, frame: Frame | None) 
     if state.geometry.time_s == frame.time_s or not set(settings.wide) <= set(frame.images):
         return state
     readings = readings_at_image(settings, state, frame)
-    geometry = update_geometry(state.geometry, frame, readings[EYE_READINGS])
+    geometry = update_geometry(state.geometry, frame, readings[settings.readings])
     state, seen = replace(state, geometry=geometry), geometry.latest
     if seen is None or not isinstance(state.target, str):
         return state
@@ -259,7 +259,7 @@ def _locate(
     left, right = (best_view(settings, state.detections, eye) for eye in EYES)
     if left is None or right is None:
         return None, None
-    readings = postures[:, EYE_READINGS]
+    readings = postures[:, settings.readings]
     joint_stds = [[settings.reading_std], [settings.command_std_rad]]
     located = locate(
         without_accuracy(settings.calibration),

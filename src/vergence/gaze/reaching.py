@@ -20,7 +20,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.errors import VergenceError
-from vergence.gaze.commands import EYE_READINGS, HeadDriver
+from vergence.gaze.commands import HeadDriver
 from vergence.gaze.controller import step_gaze
 from vergence.gaze.hand import HandCommand, HandDriver, HandReading, append_reading, hand_at
 from vergence.gaze.kalman import MotionModel, Track, fuse, predict
@@ -251,7 +251,7 @@ def _measure_target(settings: ReachSettings, state: ReachState, frame: Frame) ->
             weights=np.array([1.0, -1.0]),
             left=pixels[:, 0],
             right=pixels[:, 1],
-            joints=posture[EYE_READINGS],
+            joints=posture[settings.gaze.readings],
             pixel_std_px=np.repeat(stds, 2),
             reading_std=settings.gaze.command_std_rad,
             cameras=(cameras[0], cameras[1]),

@@ -13,11 +13,10 @@ from numpy.typing import ArrayLike
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
-from vergence.gaze.commands import HeadCommand, JointLimits, hold
+from vergence.gaze.commands import HeadCommand, JointLimits, hold, posture_joints, usual_limits
 from vergence.gaze.kalman import MotionModel, Track
 from vergence.geometry.head import HeadCalibration, cameras_of, main_camera
 from vergence.geometry.kinematics import EYES, Side, check_moves
-from vergence.geometry.neck import NECK_JOINTS, check_named
 from vergence.self_calibration.calibrator import Geometry, VisualGeometry, initial_visual_geometry
 from vergence.vision.detector import Detection, Detector, pixel_or_nan
 from vergence.vision.sphere import sphere_detector
@@ -76,7 +75,8 @@ class GazeSettings:
     geometry: Geometry = "joints"
     """How the object is located: from the joint readings, or from a head geometry that is corrected
     by what both wide images show."""
-    limits: JointLimits = field(default_factory=JointLimits)
+    limits: JointLimits = None  # type: ignore[assignment]
+    """Ranges and speeds of the joints; None: `usual_limits`."""
     use_neck: bool = False
     """Whether the neck takes part in gaze shifts."""
     reading_std: float = 1e-3
@@ -117,6 +117,8 @@ class GazeSettings:
 
     def __post_init__(self) -> None:
         check_moves(self.calibration.kinematics, "Gaze control")
+        if self.limits is None:
+            object.__setattr__(self, "limits", usual_limits(self.calibration))
         for eye, cameras in (self.roles or {}).items():
             there = cameras_of(self.calibration, eye)
             if not {cameras.wide, cameras.narrow} <= set(there):
@@ -141,17 +143,25 @@ class GazeSettings:
                 f"Geometry {self.geometry!r} needs images of both eyes; the gaze uses the "
                 f"{', '.join(self.eyes)} eye only."
             )
-        check_named(self.calibration.neck)
         if self.use_neck and not self.calibration.neck.names:
             raise VergenceError(
-                "use_neck needs a calibrated neck with one or more of the joints "
-                f"{', '.join(NECK_JOINTS)}; this calibration has 0 neck joints."
+                "use_neck needs a calibration with a neck; this one has 0 neck joints."
             )
 
     @property
     def joints(self) -> tuple[str, ...]:
         """Names of the joints of a posture: the neck's, then the readings of the eyes."""
-        return (*NECK_JOINTS, *self.calibration.kinematics.readings)
+        return posture_joints(self.calibration)
+
+    @property
+    def neck(self) -> slice:
+        """Columns of the neck in a posture (..., j)."""
+        return slice(0, len(self.calibration.neck.axes))
+
+    @property
+    def readings(self) -> slice:
+        """Columns of the eyes' readings in a posture (..., j)."""
+        return slice(len(self.calibration.neck.axes), None)
 
     @cached_property
     def eyes(self) -> Mapping[Side, EyeCameras]:
@@ -208,8 +218,8 @@ class GazeState:
     """Names of the joints that do not follow their commands."""
     searched: int = 0
     """Number of directions searched since the object was lost."""
-    neck_rate: Array = field(default_factory=lambda: np.zeros(3))
-    """(3,) velocity of the neck's set points [rad/s]."""
+    neck_rate: Array = field(default_factory=lambda: np.empty(0))
+    """(n,) velocity of the neck's set points [rad/s]."""
 
     @property
     def command(self) -> HeadCommand:
@@ -245,6 +255,7 @@ def initial_gaze_state(
         settings.cameras,
         next(iter(settings.objects)),
         geometry=geometry,
+        neck_rate=np.zeros(len(settings.calibration.neck.axes)),
     )
 
 

@@ -30,7 +30,7 @@ from vergence.geometry.kinematics import (
     joint_names,
     reading_kinds,
 )
-from vergence.geometry.neck import Neck, chain_angles, head_pose
+from vergence.geometry.neck import Neck, head_pose
 from vergence.geometry.pose_errors import PoseErrors
 from vergence.geometry.se3 import POSE, inverse, pose
 
@@ -249,9 +249,10 @@ def camera_pose_in_base(head: HeadCalibration, camera: str, joints: Array) -> Ar
 def base_pose_in_body(head: HeadCalibration, eye: Side, neck_angles: Array) -> Array:
     """Compute poses (..., 4, 4) of an eye's base in frame body, T_be(neck) of Eq. 12.
 
-    The angles (..., 3) [rad] are those of a frame: see `neck.chain_angles`.
+    The angles (..., n) [rad] are those of a frame, or of a posture, which begins with them.
     """
-    return head_pose(head.neck, chain_angles(head.neck, neck_angles)) @ base_pose(head, eye)
+    angles = neck_angles[..., : len(head.neck.axes)]
+    return head_pose(head.neck, angles) @ base_pose(head, eye)
 
 
 def wide_pose_in_narrow(head: HeadCalibration, eye: Side) -> Array:

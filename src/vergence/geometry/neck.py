@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import field
-from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,13 +11,8 @@ from pydantic.dataclasses import dataclass
 
 from vergence.arrays import MAX_M, Array, Vector3, Vectors3
 from vergence.errors import VergenceError, counted
-from vergence.geometry.joints import Chain, chain_pose
+from vergence.geometry.joints import Chain, ReadingName, chain_pose
 from vergence.geometry.kinematics import MAX_JOINTS
-
-NeckJoint = Literal["neck_pitch", "neck_roll", "neck_yaw"]
-NECK_JOINTS: tuple[NeckJoint, ...] = get_args(NeckJoint)
-"""The joints of a neck in the order of frames and postures; that of this project's head, from the
-body outwards."""
 
 
 @dataclass(frozen=True, eq=False, config=ConfigDict(extra="forbid"))
@@ -35,14 +29,13 @@ class Neck:
     """(n, 3) a point on each axis."""
     head_m: Vector3 = field(default_factory=lambda: np.zeros(3))
     """Origin of frame head."""
-    joints: tuple[NeckJoint, ...] = ()
-    """Which joint turns about each axis (n,). Without names three axes are those of NECK_JOINTS; a
-    frame does not tell the angles of others."""
+    joints: tuple[ReadingName, ...] = ()
+    """Names of the joints (n,); empty: neck_1, neck_2 and so on."""
 
     @property
-    def names(self) -> tuple[NeckJoint, ...]:
-        """Names of the joints, from the body outwards; empty: they have none."""
-        return self.joints or (NECK_JOINTS if len(self.axes) == len(NECK_JOINTS) else ())
+    def names(self) -> tuple[str, ...]:
+        """Names of the joints, from the body outwards, as postures and frames have them."""
+        return self.joints or tuple(f"neck_{k + 1}" for k in range(len(self.axes)))
 
     def __post_init__(self) -> None:
         n = len(self.axes)
@@ -63,35 +56,20 @@ class Neck:
             raise ValueError(f"axes are unit vectors, found one of length {lengths.max():.6g}")
 
 
-def checked_neck_angles(angles: ArrayLike) -> Array:
-    """Check the neck angles (3,) [rad] of a frame; VergenceError if they are something else."""
-    angles = np.array(angles, float)  # a copy, since a driver may write the next into the array
-    if angles.shape != (len(NECK_JOINTS),) or not np.isfinite(angles).all():
+def checked_neck_angles(neck: Neck, angles: ArrayLike) -> Array:
+    """Check the neck angles (n,) [rad] of a frame; VergenceError if they are something else.
+
+    A head without a neck stands still in its body, whatever the frame has.
+    """
+    angles, n = np.array(angles, float), len(neck.axes)  # a copy: a driver may reuse the array
+    if n == 0:
+        return np.empty(0)
+    if angles.shape != (n,) or not np.isfinite(angles).all():
         raise VergenceError(
-            f"A frame has the {len(NECK_JOINTS)} neck angles {', '.join(NECK_JOINTS)} [rad], all "
-            f"finite; found an array of shape {angles.shape}: {angles.tolist()}. Joints that the "
-            "head does not have read zero."
+            f"A frame of this head has the {counted(n, 'neck angle')} {', '.join(neck.names)} "
+            f"[rad], all finite; found an array of shape {angles.shape}: {angles.tolist()}."
         )
     return angles
-
-
-def chain_angles(neck: Neck, neck_angles: Array) -> Array:
-    """Select the angles (..., n) [rad] of a neck's joints among those of a frame or a posture.
-
-    These begin with those of NECK_JOINTS. VergenceError if the neck's joints have no names.
-    """
-    check_named(neck)
-    return neck_angles[..., [NECK_JOINTS.index(name) for name in neck.names]]
-
-
-def check_named(neck: Neck) -> None:
-    """Raise VergenceError for a neck whose joints a frame has no angles of."""
-    if len(neck.names) != len(neck.axes):
-        raise VergenceError(
-            f"The neck of this calibration has {counted(len(neck.axes), 'joint')} without names, "
-            f"and a frame has the angles {', '.join(NECK_JOINTS)}: name the joints by these, "
-            "`joints` under `neck` in the calibration file."
-        )
 
 
 def head_pose(neck: Neck, angles: Array) -> Array:

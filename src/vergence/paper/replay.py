@@ -12,7 +12,6 @@ import numpy as np
 
 from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
-from vergence.gaze.commands import EYE_READINGS
 from vergence.geometry.head import WIDE, HeadCalibration
 from vergence.geometry.projection import project_point
 from vergence.paper.comparison import PAPER, Comparison
@@ -163,7 +162,7 @@ def replay(
                 exposure = twin.expose(tuple(twin.truth.cameras) if complete else WIDE)
                 if index >= 3:
                     pending[index - 3].result()  # limits images in memory, raises errors early
-                eyes, where = twin.true_angles()[EYE_READINGS], twin.true_object()
+                eyes, where = twin.true_readings(), twin.true_object()
                 sample = index, exposure, eyes, where, twin.body_poses()
                 pending.append(worker.submit(process, *sample))
                 progress(task, index + 1, len(times_s))

@@ -10,7 +10,6 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.data.description import Description
 from vergence.errors import VergenceError
-from vergence.geometry.neck import NECK_JOINTS
 from vergence.recordings.interpolation import interpolate
 from vergence.recordings.pose_tracks import eye_poses
 from vergence.recordings.recording_map import RecordingMap
@@ -39,7 +38,7 @@ class Moments:
     eye_angles: Array
     """(N, r) [rad] in the order of the description's readings; NaN where not known."""
     neck_angles: Array
-    """(N, 3) [rad] in the order of NECK_JOINTS; 0 for joints that the map does not name."""
+    """(N, n) [rad] in the order of the description's neck_joints."""
     T_base_eye: Array | None = None
     """(N, 2, 4, 4) measured poses of the left and the right eye in their bases [m], NaN where not
     known, the identity for an eye without cameras; None where joints are read instead."""
@@ -74,7 +73,8 @@ def find_moments(scanned: Scan, mapped: RecordingMap, description: Description) 
     zero = np.zeros(len(time_ns))
     readings = description.head_kinematics.readings
     eye_angles = np.stack([angles.get(name, zero) for name in readings], axis=-1)
-    neck_angles = np.stack([angles.get(name, zero) for name in NECK_JOINTS], axis=-1)
+    neck = [angles[name] for name in description.neck_joints]
+    neck_angles = np.array(neck).reshape(-1, len(time_ns)).T
     T_base_eye, posture = None, np.hstack([eye_angles, neck_angles])
     if mapped.poses:
         T_base_eye = eye_poses(scanned.poses, mapped.poses, time_ns, max_gap_s=mapped.max_gap_s)

@@ -8,11 +8,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vergence.arrays import Array, single_blas_thread
+from vergence.arrays import Array, floats, single_blas_thread
 from vergence.data.dataset import Frame
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.neck import checked_neck_angles
 from vergence.self_calibration.filter import learned_head, update
 from vergence.self_calibration.frame import estimate_frame, locate_in_frame
 from vergence.self_calibration.kalman import predict
@@ -73,9 +72,11 @@ def update_geometry(
                 f"{', '.join(frame.images) or 'no camera'}."
             )
     left, right = (frame.images[name] for name in cameras)
-    neck, key = checked_neck_angles(frame.neck_angles), geometry.keyframe_neck
+    neck, key = floats("neck_angles", frame.neck_angles), geometry.keyframe_neck
+    if not np.isfinite(neck).all():
+        raise VergenceError(f"The angles of the neck are finite; found {neck.tolist()}.")
     limit = 3 * geometry.state.reading_std  # then not only the eyes have moved
-    if key is None or np.abs(neck - key).max() > limit:
+    if key is None or key.shape != neck.shape or np.abs(neck - key).max(initial=0.0) > limit:
         geometry = replace(geometry, state=replace(geometry.state, keyframe=None))
     geometry = predict_geometry(geometry, frame.time_s)
     joints = frame.eye_angles if joints is None else joints
@@ -93,7 +94,7 @@ def predict_geometry(geometry: VisualGeometry, time_s: float) -> VisualGeometry:
 def update_with_estimate(
     geometry: VisualGeometry, estimate: FrameEstimate, neck: Array
 ) -> VisualGeometry:
-    """Update the filter, as predicted to a frame's time, with its estimate and neck angles (3,)."""
+    """Update the filter, as predicted to a frame's time, with its estimate and neck angles (n,)."""
     state, time_s = replace(geometry.state, change=None), geometry.time_s
     if time_s is None or geometry.updated_s is None or geometry.updated_at is None:
         return VisualGeometry(state, estimate, time_s, time_s, estimate.readings, neck)

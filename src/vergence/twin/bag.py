@@ -16,7 +16,6 @@ from vergence.data.dataset import Dataset
 from vergence.data.description import Description
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.neck import NECK_JOINTS
 from vergence.progress import Progress, silent
 from vergence.recordings.bag import Storage, message, write_bag
 from vergence.recordings.recording import JointSample, Message
@@ -104,7 +103,7 @@ def write_twin_bag(
         at_s = time_ns * 1e-9 - max(0.0, joints.delay_ms * 1e-3)
         columns = np.array(log.sensed).T
         sensed = np.stack([np.interp(at_s, log.time_s, column) for column in columns], axis=1)
-        neck, eyes = np.split(sensed, [len(NECK_JOINTS)], axis=1)
+        neck, eyes = np.split(sensed, [len(dataset.description.neck_joints)], axis=1)
         eyes = read(eyes, joints, rng, dataset.description.head_kinematics)
     else:
         time_ns = np.round(dataset.joint_time_s * 1e9).astype(int)
@@ -137,7 +136,7 @@ def write_twin_bag(
 
 def _columns(description: Description, eyes: Array, neck: Array) -> tuple[tuple[str, ...], Array]:
     """Name the joints (c,) as a dataset does, and make readings (N, c) in its units."""
-    order = *description.head_kinematics.readings, *NECK_JOINTS
+    order = *description.head_kinematics.readings, *description.neck_joints
     angles = dict(zip(order, np.concatenate([eyes, neck], axis=1).T, strict=True))
     columns = {}
     for name, joint in description.sources.items():

@@ -19,11 +19,11 @@ from vergence.calibration.observations import Observations
 from vergence.geometry.board import Board, Chessboard, corner_points
 from vergence.geometry.head import R_EYE_CAM, WIDE, HeadCalibration
 from vergence.geometry.kinematics import EYES, readings_to_turn, straight_gaze
-from vergence.geometry.neck import NECK_JOINTS
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, pose, rotation, transform
 from vergence.progress import Progress, silent
 from vergence.twin.head import Exposure, Twin
+from vergence.twin.model import NECK_JOINTS
 from vergence.twin.profile import ErrorProfile
 from vergence.vision.board_detection import detect_board
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.gaze.commands import NECK
 from vergence.gaze.hand import HandCommand, HandReading, hand_goal
 from vergence.geometry.head import base_pose_in_body
 from vergence.geometry.se3 import inverse, pose, rotation, transform
@@ -79,7 +78,7 @@ class SimulatedHand:
             self._time_s += dt
 
     def _T_lbase_arm(self) -> Array:
-        neck = self._twin.true_angles()[NECK]
+        neck = self._twin.true_neck()
         return inverse(base_pose_in_body(self._twin.truth, "left", neck)) @ self._T_body_arm
 
     def true_point(self, by_encoders: Array) -> Array:

@@ -15,14 +15,13 @@ from scipy.spatial.transform import Rotation
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.errors import check_seed
-from vergence.gaze.commands import EYE_READINGS, NECK
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES, Kinematics
-from vergence.geometry.neck import NECK_JOINTS
 from vergence.geometry.se3 import inverse, pose, transform
 from vergence.twin import renderer
 from vergence.twin.model import (
     CAMERAS,
+    NECK_JOINTS,
     as_built_head,
     body_pose,
     compile_head,
@@ -84,6 +83,7 @@ class Twin:
         self._data = mujoco.MjData(self.model)
         self._seen = mujoco.MjData(self.model)  # the pose at which pictures are taken
         self._seed = seed
+        self._readings = slice(len(NECK_JOINTS), None)  # columns of a posture, behind the neck's
         self.watch: Callable[[float, Array], None] | None = None
         """Called with the time [s] and the posture (j,) [rad] on the sensors' side every 5 ms."""
         names = [*NECK_JOINTS, *chain.from_iterable(hinges(self.truth.kinematics).values())]
@@ -174,6 +174,14 @@ class Twin:
         """Interpolate the true angles (j,) to the moment of an image that is taken now."""
         return self._at(self._true, self._moments()[0])
 
+    def true_readings(self) -> Array:
+        """Interpolate the true readings (r,) to the moment of an image that is taken now."""
+        return self.true_angles()[self._readings]
+
+    def true_neck(self) -> Array:
+        """Interpolate the true angles (n,) of the neck to that moment."""
+        return self.true_angles()[: self._readings.start]
+
     def true_object(self) -> Array:
         """Compute the position (3,) [m] of the object in the left eye's base."""
         return transform(inverse(self.T_world_lbase()), self._data.body("object").xpos)
@@ -193,8 +201,8 @@ class Twin:
         negatives = tuple(self._renderer.expose(self._seen, name) for name in cameras)
         sensed = self._at(self._sensed, joint_s)
         sensors, kinematics = self.profile.joints, self.truth.kinematics
-        eye_angles = read(sensed[None, EYE_READINGS], sensors, self._rng, kinematics)[0]
-        neck_angles, now = sensed[NECK], self.time_s
+        eye_angles = read(sensed[None, self._readings], sensors, self._rng, kinematics)[0]
+        neck_angles, now = sensed[: self._readings.start], self.time_s
         return Exposure(Frame(now, now, eye_angles, neck_angles, {}), negatives)
 
     def _passer(self, time_s: float) -> Array:

@@ -19,11 +19,12 @@ from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration, MountedCamera, base_pose, pair_names
 from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import EYES, Kinematics, Side
-from vergence.geometry.neck import NECK_JOINTS, Neck
+from vergence.geometry.neck import Neck
 from vergence.geometry.se3 import pose, rotation
 from vergence.twin.profile import ErrorProfile, Lens
 from vergence.twin.scene import Scene, load_spec
 
+NECK_JOINTS = "neck_pitch", "neck_roll", "neck_yaw"
 CAMERAS = ("left_wide", "right_wide", "left_narrow", "right_narrow")
 
 R_MJCAM_CAM = np.diag([1.0, -1.0, -1.0])  # MuJoCo's cameras look along -z with +y up
@@ -101,6 +102,7 @@ def nominal_head(lens: Lens, kinematics: Kinematics | None = None) -> HeadCalibr
             axes=np.array([joint.xaxis for joint in joints]),
             points_m=np.array([joint.xanchor - body for joint in joints]),
             head_m=(bases["left"] + bases["right"]) / 2 - body,
+            joints=NECK_JOINTS,
         ),
     )
 

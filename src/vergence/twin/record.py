@@ -25,11 +25,9 @@ from vergence.data.reader import load_dataset
 from vergence.data.writer import DatasetRow, write_dataset
 from vergence.errors import VergenceError
 from vergence.files import as_json, check_new, parse_json, read_parsed, validated
-from vergence.gaze.commands import EYE_READINGS
 from vergence.geometry.board import Board, Charuco
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Side
-from vergence.geometry.neck import NECK_JOINTS
 from vergence.progress import Progress, silent
 from vergence.twin.bag import BagSettings, SensorLog, write_twin_bag
 from vergence.twin.calibration_sequence import (
@@ -46,7 +44,7 @@ from vergence.twin.calibration_sequence import (
 )
 from vergence.twin.evaluation import TRUTH, Truth
 from vergence.twin.head import Twin
-from vergence.twin.model import nominal_head
+from vergence.twin.model import NECK_JOINTS, nominal_head
 from vergence.twin.profile import ErrorProfile, Lens
 from vergence.twin.renderer import FINE
 from vergence.twin.scene import Scene, put_charuco
@@ -207,7 +205,7 @@ def _capture(
 
 
 def _frame(twin: Twin, shot: Shot, *, moving: bool) -> tuple[Array, DatasetRow]:
-    true_angles = twin.true_angles()[EYE_READINGS]
+    true_angles = twin.true_readings()
     frame = twin.capture(shot.cameras)
     return true_angles, DatasetRow(frame=frame, placement=shot.placement, moving=moving)
 

@@ -19,7 +19,6 @@ from vergence.accuracy.motions import eye_angles as motion_angles
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.gaze.commands import (
-    EYE_READINGS,
     HeadCommand,
     JointLimits,
     hold,
@@ -29,7 +28,6 @@ from vergence.gaze.commands import (
 from vergence.gaze.state import GazeSettings
 from vergence.geometry.head import base_pose
 from vergence.geometry.kinematics import EYE_JOINTS, Kinematics
-from vergence.geometry.neck import NECK_JOINTS
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
 from vergence.progress import Progress, silent
@@ -38,6 +36,7 @@ from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import paper_calibration, straight_neck
 from vergence.twin.hand import SimulatedHand
 from vergence.twin.head import Twin
+from vergence.twin.model import NECK_JOINTS
 from vergence.twin.sensors import gains_and_offsets, sensor_columns
 
 FRAME_S = 0.033
@@ -102,7 +101,12 @@ def learn_by_looking(
 
 def twin_limits(kinematics: Kinematics) -> JointLimits:
     """Compute the limits of readings from those of the hinges that they turn."""
-    model = JointLimits()
+    names = [*NECK_JOINTS, *EYE_JOINTS]
+    model = JointLimits(
+        np.radians([(-30, 40), (-30, 30), (-50, 50), (-35, 35), (-30, 30), (-35, 35), (-30, 30)]),
+        np.array([3.0] * 3 + [10.0] * 4),
+        tuple(names),
+    )
     rows = [model.joints.index(EYE_JOINTS[k]) for k in sensor_columns(kinematics)]
     names = [*NECK_JOINTS, *kinematics.readings]
     order = [*range(len(NECK_JOINTS)), *rows]
@@ -181,13 +185,14 @@ class SimulatedHead:
     def _servo(self, time_s: float) -> Array:
         """Compute the angles (j,) [rad] that the simulated joints are sent to at a time."""
         wanted = setpoint(self._command, time_s)
-        wanted[EYE_READINGS] = (wanted[EYE_READINGS] - self._offset) / self._gain
+        readings = slice(-len(self._gain), None)
+        wanted[readings] = (wanted[readings] - self._offset) / self._gain
         return wanted
 
 
 def true_pixels(twin: Twin, settings: GazeSettings) -> Array:
     """Project the object into the narrow or only camera of each of the E eyes in use, (E, 2)."""
-    eyes, where = twin.true_angles()[EYE_READINGS], twin.true_object()
+    eyes, where = twin.true_readings(), twin.true_object()
     return np.array([project_point(twin.truth, name, eyes, where) for name in settings.narrow])
 
 

@@ -6,6 +6,7 @@ Positions and errors are in frame body, the entity /world/gaze. Curves are below
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -14,7 +15,7 @@ import rerun as rr
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
-from vergence.gaze.commands import EYE_READINGS, HEAD_JOINTS, NECK, setpoints_at
+from vergence.gaze.commands import setpoints_at
 from vergence.gaze.foveation import ideal_wide_pixel
 from vergence.gaze.state import GazeSettings, GazeState
 from vergence.geometry.head import base_pose_in_body, camera_pose_in_base
@@ -77,8 +78,8 @@ def log_gaze(
     _log_axes(rec, settings, state, readings)
     commanded = setpoints_at(state.commands, frame.time_s)
     for joint, angle, command in zip(settings.joints, readings, commanded, strict=True):
-        rec.log(_joint(joint), rr.Scalars(angle))
-        rec.log(_joint(joint, "command_"), rr.Scalars(command))
+        rec.log(_joint(settings, joint), rr.Scalars(angle))
+        rec.log(_joint(settings, joint, "command_"), rr.Scalars(command))
     for lane, name in observed.lanes.items():
         rec.log(f"doing/{lane}", rr.StateChange(state=name))
     if geometry is not None and geometry.updated_s == frame.time_s:
@@ -138,7 +139,7 @@ def _narrow_cameras(settings: GazeSettings, readings: Array) -> dict[Side, Array
     head = settings.calibration
     return {
         eye: base_pose_in_body(head, eye, readings)
-        @ camera_pose_in_base(head, cameras.narrow, readings[EYE_READINGS])
+        @ camera_pose_in_base(head, cameras.narrow, readings[settings.readings])
         for eye, cameras in settings.eyes.items()
     }
 
@@ -165,7 +166,7 @@ def aims(settings: GazeSettings, state: GazeState, frame: Frame) -> dict[str, Ar
     return found
 
 
-def log_gaze_styles(rec: rr.RecordingStream, T_world_body: Array) -> None:
+def log_gaze_styles(rec: rr.RecordingStream, settings: GazeSettings, T_world_body: Array) -> None:
     """Record names and colours of curves and marks, and the pose (4, 4) of frame body."""
     curves: dict[str, tuple[str, tuple[int, int, int]]] = {
         "error/by_one_frame": ("one frame", style.PAPER),
@@ -178,10 +179,12 @@ def log_gaze_styles(rec: rr.RecordingStream, T_world_body: Array) -> None:
         curves[f"position/{axis}"] = label, colour
     for eye, colours in style.EYE_COLOURS.items():
         curves[f"gaze_error/{eye}"] = f"{eye} eye", colours[0]
-    for joint, color in style.HEAD_JOINT_COLOURS.items():
+    for joint, color in style.joint_colours(
+        settings.joints, settings.calibration.neck.names
+    ).items():
         name = joint.replace("_", " ").removeprefix("neck ")
-        curves[_joint(joint, "command_")] = f"{name}, commanded", style.pale(color)
-        curves[_joint(joint)] = name, color
+        curves[_joint(settings, joint, "command_")] = f"{name}, commanded", style.pale(color)
+        curves[_joint(settings, joint)] = name, color
     for entity, (name, color) in curves.items():
         line = rr.SeriesLines(names=name, colors=color, widths=1.5, aggregation_policy="MinMax")
         rec.log(entity, line, static=True)
@@ -193,5 +196,7 @@ def log_gaze_styles(rec: rr.RecordingStream, T_world_body: Array) -> None:
     log_points_style(rec, "world/gaze/hand_trail", 1.5, style.HAND)
 
 
-def _joint(joint: str, kind: str = "") -> str:
-    return f"{'neck' if joint in HEAD_JOINTS[NECK] else 'eyes'}/{kind}{joint}"
+def _joint(settings: GazeSettings, joint: str, kind: str = "") -> str:
+    part = "neck" if joint in settings.joints[settings.neck] else "eyes"
+    entity = re.sub(r"[^A-Za-z0-9_]", "_", joint)
+    return f"{part}/{kind}{entity}"

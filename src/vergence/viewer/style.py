@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
+from itertools import cycle
+
 import numpy as np
 
 APPLICATION = "vergence"  # the same for every recording: no dots or slashes
@@ -18,18 +21,13 @@ JOINT_COLOURS = {
 }
 BACKGROUND = (236, 239, 243)
 EYE_HEIGHT_M = 1.2
-"""Height of the model's eyes above the floor; the neck stays straight in the experiments."""
+"""Height of the eyes above the floor; the neck stays straight in the experiments."""
 FITTING, MISFIT = (60, 220, 90), (240, 60, 60)
 """Matches between the images of both eyes."""
 DETECTED, TRUTH = (255, 230, 0), (0, 240, 255)
 ESTIMATE, OLD, RAY, OBJECT = (20, 60, 220), (120, 150, 235), (250, 150, 30), (60, 60, 60)
 CROSS_PX = np.array([[[-9.0, 0.0], [9.0, 0.0]], [[0.0, -9.0], [0.0, 9.0]]])
-HEAD_JOINT_COLOURS = {
-    "neck_pitch": (150, 60, 160),
-    "neck_roll": (110, 110, 110),
-    "neck_yaw": (40, 120, 60),
-    **JOINT_COLOURS,
-}
+NECK_COLOURS = (150, 60, 160), (110, 110, 110), (40, 120, 60)
 STATE_COLOURS = {
     "saccade": (230, 120, 20),
     "pursuit": (31, 90, 255),
@@ -39,6 +37,15 @@ STATE_COLOURS = {
 AIM, HAND = (255, 255, 255, 110), (170, 40, 150)
 MAGNIFICATION = 100
 """Drawn length of a residual over its own: usual residuals of 0.1 px are seen."""
+
+
+def joint_colours(joints: Sequence[str], neck: Collection[str]) -> dict[str, tuple[int, int, int]]:
+    """Assign colours to joints of a posture by name: those of its neck, and of its readings."""
+    necks, others = cycle(NECK_COLOURS), cycle(JOINT_COLOURS.values())
+    return {
+        name: next(necks) if name in neck else JOINT_COLOURS.get(name) or next(others)
+        for name in joints
+    }
 
 
 def html(rgb: tuple[int, int, int]) -> str:
