@@ -189,9 +189,12 @@ def bundle_adjust(
             that is needed is not finite, or there are fewer data than unknowns.
     """
     timed = observations.timing is not None
-    if intrinsics is not None:
+    known = observations.known_lenses.items()
+    kept = {name: lens.camera for name, lens in known if lens.std_percent == 0}
+    kept |= {name: each.camera for name, each in (intrinsics or {}).items()}
+    if kept:
         cameras = {
-            name: replace(mounted, intrinsics=intrinsics[name].camera)
+            name: replace(mounted, intrinsics=kept.get(name, mounted.intrinsics))
             for name, mounted in start.cameras.items()
         }
         start = replace(start, cameras=cameras)
@@ -202,9 +205,8 @@ def bundle_adjust(
             f"There is no parameter {min(unknown)!r} to fix; there are, for example, "
             "left_wide.fx, left_wide.T_eye_cam.rx, left.pan_gain and time_offset_s."
         )
-    if intrinsics is not None:
-        lenses = {name: intrinsics_names(each.camera) for name, each in intrinsics.items()}
-        fixed = {*fixed, *(f"{name}.{each}" for name in lenses for each in lenses[name])}
+    own = {name: intrinsics_names(lens) for name, lens in kept.items()}
+    fixed = {*fixed, *(f"{name}.{each}" for name in own for each in own[name])}
     joint_std = noise.joint_std
     given = None if joint_std is None else np.maximum(np.atleast_1d(joint_std), EXACT)
     problem = bundle_problem(

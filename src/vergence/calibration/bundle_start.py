@@ -21,9 +21,11 @@ from vergence.calibration.priors import (
     BOARD_SCALE,
     LAST_ASSUMED,
     BoardSize,
+    StatedLens,
     board_scale_block,
     boards_block,
     head_block,
+    known_lens_std,
     lens_priors,
 )
 from vergence.calibration.readings import PLAY, Readings, UnknownMotion, readings_of
@@ -162,6 +164,10 @@ def bundle_problem(
     for name, mounted in cameras.items():
         last = LAST_ASSUMED.get(mounted.intrinsics.model)
         priors += lens_priors(mounted.intrinsics, f"{name}.{last}" not in fixed, name)
+        lens = observations.known_lenses.get(name)
+        if lens is not None and f"{name}.fx" not in fixed:
+            std = known_lens_std(lens.camera, lens.std_percent)
+            priors.append(StatedLens(stated=lens.camera, std=std, camera=name))
     offset_s = start.time_offset_s if "time_offset_s" in fixed else 0.0
     head = replace(start, time_offset_s=offset_s, accuracy=None)
     sized = isinstance(measured, Reprojection) and _measures_lengths(observations.T_base_eye)

@@ -20,6 +20,7 @@ from vergence.calibration.cross_validation import (
 )
 from vergence.calibration.detection import detect_target
 from vergence.calibration.initial import SequentialCalibration, calibrate_sequentially
+from vergence.calibration.known_lenses import contradicted_lenses
 from vergence.calibration.lens_choice import LensChoice, LensOption
 from vergence.calibration.observations import Observations
 from vergence.calibration.prepared_views import Method, PreparedViews, prepare
@@ -144,9 +145,10 @@ def _about(views: PreparedViews, head: HeadCalibration) -> list[Finding]:
     assert accuracy is not None
     stds = np.sqrt(np.diag(accuracy.covariance)).tolist()
     std = dict(zip(accuracy.parameters, stds, strict=True))
-    focal_std = {name: each.focal_std_px for name, each in views.intrinsics.items()}
+    unknown = [name for name in head.cameras if name not in views.observations.known_lenses]
+    focal_std = {name: views.intrinsics[name].focal_std_px for name in unknown}
     if std:
-        focal_std = {name: (std[f"{name}.fx"], std[f"{name}.fy"]) for name in head.cameras}
+        focal_std = {name: (std[f"{name}.fx"], std[f"{name}.fy"]) for name in unknown}
     # Bases of measured poses may stand anywhere, as those of two arms do.
     poses = views.observations.T_base_eye is not None
     moving = not views.observations.at_rest.all()
@@ -154,4 +156,5 @@ def _about(views: PreparedViews, head: HeadCalibration) -> list[Finding]:
         *([] if poses else plausibility.implausible_geometry(head)),
         *excitation.stretched_board(*views.at_rest, views.intrinsics, moving=moving),
         *excitation.doubtful_focal_lengths(views.T_cam_target, head, focal_std),
+        *contradicted_lenses(views.at_rest[0]),
     ]

@@ -11,7 +11,12 @@ import cv2
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.observations import NO_CORNERS, UNREADABLE_IMAGE, Observations
+from vergence.calibration.observations import (
+    NO_CORNERS,
+    UNREADABLE_IMAGE,
+    KnownLens,
+    Observations,
+)
 from vergence.calibration.other_boards import ANOTHER, mirrored, other_board, why_not_found
 from vergence.data.dataset import Dataset, runs
 from vergence.data.images import UNREADABLE
@@ -111,6 +116,11 @@ def detect_target(dataset: Dataset, *, progress: Progress = silent) -> Observati
         T_base_eye=dataset.T_base_eye,
         lines=np.asarray(dataset.lines),
         systematic_px=SYSTEMATIC_PX,
+        known_lenses={
+            name: KnownLens(camera.intrinsics, camera.intrinsics_std_percent)
+            for name, camera in cameras.items()
+            if camera.intrinsics is not None and camera.intrinsics_std_percent is not None
+        },
         findings=(*dataset.findings, *_findings(dataset, found)),
     )
 

@@ -96,8 +96,8 @@ def doubtful_focal_lengths(
     the standard deviations of fx and fy.
     """
     findings = []
-    for name, mounted in head.cameras.items():
-        part = float((focal_std_px[name] / np.diag(mounted.intrinsics.matrix)[:2]).max())
+    for name, std_px in focal_std_px.items():
+        part = float((std_px / np.diag(head.cameras[name].intrinsics.matrix)[:2]).max())
         if part > FOCAL_PART:
             sentence = (
                 f"{name}.fx and fy are known to {100 * part:.1f} % only: record more views, and "

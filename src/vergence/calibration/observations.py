@@ -16,7 +16,7 @@ from vergence.data.timing import TAKEN_UP, Timing, moved_readings, taken_up
 from vergence.errors import VergenceError, counted
 from vergence.findings import Finding
 from vergence.geometry.board import Board
-from vergence.geometry.camera import is_image_size
+from vergence.geometry.camera import Camera, is_image_size
 from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration, check_camera_name
 from vergence.geometry.kinematics import EYES, Kinematics, Side, eye_pose
@@ -27,6 +27,15 @@ CERTAIN_RAD = 0.04
 servos (up to one degree) and the range of their noise (three times 0.4 degrees)."""
 NO_CORNERS, UNREADABLE_IMAGE = "no-corners", "unreadable-image"
 """Codes of the notes on images that gave no corners."""
+
+
+@dataclass(frozen=True, eq=False)
+class KnownLens:
+    """Intrinsics of a camera that were known before."""
+
+    camera: Camera
+    std_percent: float
+    """Standard deviation, see DatasetCamera.intrinsics_std_percent; 0: exact."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +70,8 @@ class Observations:
     last_motion: Array | None = None
     """(V, r) sign of the last motion of each reading before it was read: 1, -1, or 0 where it is
     not known; None: found from the readings, if each view was reached from the one before."""
+    known_lenses: Mapping[str, KnownLens] = field(default_factory=dict)
+    """By camera, where intrinsics were known before."""
     lines: np.ndarray | None = None
     """(V,) lines of frames.csv; None: views have no lines."""
     findings: tuple[Finding, ...] = ()
@@ -124,6 +135,12 @@ class Observations:
                 raise VergenceError(
                     f"sizes needs the width and height of {name}'s images [px], such as "
                     f"(640, 480); found {self.sizes.get(name)!r:.80}."
+                )
+        for name, lens in self.known_lenses.items():
+            if name in self.corners and lens.camera.size != tuple(self.sizes[name]):
+                raise VergenceError(
+                    f"known_lenses.{name} is for images of {lens.camera.size} px; those of {name} "
+                    f"have {tuple(self.sizes[name])}."
                 )
         for name, eye in self.eyes.items():
             if eye not in EYES:
@@ -204,6 +221,7 @@ class PoseObservations:
     eye_angles: Array
     T_base_eye: Array | None
     timing: ClassVar[None] = None
+    known_lenses: ClassVar[Mapping[str, KnownLens]] = {}
 
     def last_motions(self) -> Array:
         """Return zeros (V, r): the views come in any order."""

@@ -105,7 +105,7 @@ def _check_views(seen: Observations) -> None:
     camera_eyes(seen)
     for name, corners in seen.corners.items():
         enough = int((seen_corners(corners).sum(axis=1) >= LEAST_CORNERS).sum())
-        if enough < LEAST_VIEWS:
+        if enough < (1 if name in seen.known_lenses else LEAST_VIEWS):
             mounted = "" if seen.eye_motion == "fixed" else " and T_eye_cam"
             raise VergenceError(
                 f"{name} shows the board in {enough} images at rest: fx, fy{mounted} "

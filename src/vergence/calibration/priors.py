@@ -174,6 +174,40 @@ def lens_priors(lens: Camera, free: bool, camera: str | None = None) -> list[Len
     return [LensPrior(camera=camera)] if possible and free else []
 
 
+def known_lens_std(lens: Camera, percent: float) -> Array:
+    """Compute the deviations (n,) of intrinsics of which the focal length is known to a percentage.
+
+    The others displace the image's edge or corner by as much of its distance.
+    """
+    K, reach = lens.matrix, np.hypot(lens.width, lens.height) / 2 / lens.matrix[0, 0]
+    distortion = 1 / reach ** np.array(_POWERS[lens.model])
+    pinhole = [K[0, 0], K[1, 1], lens.width / 2, lens.height / 2]
+    return np.array([*pinhole, *distortion]) * percent / 100
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class StatedLens(Residual):
+    """Intrinsics that were known before, of a camera of the head or of the block "lens"."""
+
+    stated: Camera
+    std: Array
+    """(n,) in the order of `camera.intrinsics_names`."""
+    camera: str | None = None
+    """Its name in the head; None: the block "lens"."""
+    robust: bool = False
+
+    def error(self, x: Variables) -> Array:
+        lens = x["lens"] if self.camera is None else x["head"].cameras[self.camera].intrinsics
+        return ((lens_vector(lens) - lens_vector(self.stated)) / self.std)[None]
+
+    def rows(self, x: Variables) -> Rows:
+        if self.camera is None:
+            columns = x.columns("lens")
+        else:
+            columns = x.columns("head")[camera_columns(x["head"], self.camera)]
+        return Rows(np.diag(1 / self.std)[None], columns[None, : len(self.std)])
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class BoardSize(Residual):
     """The side of the board's squares, measured by hand or stated by a printer."""

@@ -47,7 +47,11 @@ class DatasetCamera:
     height: _Pixels
     """Image height [px]."""
     intrinsics: Camera | None = None
-    """Known intrinsics for other programs; calibration does not use them."""
+    """Known intrinsics; without `intrinsics_std_percent` for other programs only."""
+    intrinsics_std_percent: Annotated[float, Field(ge=0, le=20)] | None = None
+    """How well calibration takes the intrinsics to be known: standard deviation of the focal
+    lengths [%], of the principal point [% of half the image], and of what each coefficient moves
+    the image's corner [% of its distance]; 0: exactly. None: they are not used."""
     bits: Annotated[int, Field(ge=8, le=16)] | None = None
     """Bits that 16-bit images of the camera fill; None: those of the image's brightest pixel."""
 
@@ -132,6 +136,15 @@ class Description:
             found = f"found {len(self.cameras)}" if self.cameras else "cameras is empty"
             yield f"a dataset has 1 to {MAX_CAMERAS} cameras; {found}"
         for name, camera in self.cameras.items():
+            lens = camera.intrinsics
+            if camera.intrinsics_std_percent is not None and (
+                lens is None or lens.size != (camera.width, camera.height)
+            ):
+                size = "none" if lens is None else f"those of {lens.width} x {lens.height} px"
+                yield (
+                    f"cameras.{name}.intrinsics_std_percent needs intrinsics for images of "
+                    f"{camera.width} x {camera.height} px; found {size}"
+                )
             side = name.partition("_")[0]
             if side in EYES and side != camera.eye:
                 yield (
