@@ -1,35 +1,33 @@
 """Exported poses are those by which the head projects, at the moments of the images."""
 
-import csv
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from pyarrow import parquet
+from pyarrow import csv, parquet
 from scipy.spatial.transform import Rotation
 
 from simulated_head import random_head
 from simulated_recording import BOARD
 from vergence.arrays import Array
-from vergence.data.description import DatasetJoint
+from vergence.data.description import DatasetJoint, Description
 from vergence.errors import VergenceError
-from vergence.geometry.camera import project
+from vergence.geometry.camera import intrinsics_names, project
 from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration, base_pose, parameter_names
 from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Side
-from vergence.geometry.parameters import change_named
+from vergence.geometry.parameters import change_named, lens_vector
 from vergence.geometry.projection import camera_pose, project_point
 from vergence.geometry.se3 import boxminus, inverse, transform
 from vergence.recordings.camera_poses import CameraPoses, scanned_poses
 from vergence.recordings.formats import open_recording
 from vergence.recordings.pose_files import (
-    pose_table,
     write_csv,
     write_parquet,
     write_transforms,
 )
-from vergence.recordings.recording_map import CameraSource, RecordingMap
+from vergence.recordings.recording_map import CameraSource, RecordingMap, describe
 from vergence.recordings.scan import ImageTrack, JointTrack, PoseTrack, Scan, scan
 
 START_NS = 1_700_000_000_123_456_789
@@ -46,7 +44,7 @@ def timed_head(seed: int = 0) -> HeadCalibration:
     return replace(random_head(np.random.default_rng(seed)), time_offset_s=OFFSET_S)
 
 
-def recorded(head: HeadCalibration, seed: int = 0) -> tuple[Scan, RecordingMap]:
+def recorded(head: HeadCalibration, seed: int = 0) -> tuple[Scan, Description, RecordingMap]:
     """Return two seconds at 30 Hz, with joints at 97 Hz of which a tenth is missing."""
     rng = np.random.default_rng(seed)
     t = np.arange(2 * 97) / 97
@@ -70,11 +68,11 @@ def recorded(head: HeadCalibration, seed: int = 0) -> tuple[Scan, RecordingMap]:
         board=BOARD,
         joints={name: DatasetJoint(name, "deg", -1) for name in EYE_JOINTS},
     )
-    return scanned, mapped
+    return scanned, describe(mapped, dict.fromkeys(scanned.images, size), {}), mapped
 
 
 def poses_of(head: HeadCalibration) -> CameraPoses:
-    return scanned_poses(*recorded(head), head, "a recording")
+    return scanned_poses(*recorded(head), head)
 
 
 def test_poses_of_moving_cameras_project_points_to_the_pixels_of_the_head():
@@ -127,37 +125,36 @@ def test_stated_deviations_are_those_of_sampled_heads():
 
 def test_a_calibration_of_other_cameras_or_joints_is_refused():
     head = timed_head()
-    scanned, mapped = recorded(head)
-    renamed = {f"left_{k}": each for k, each in enumerate(mapped.cameras.values()) if k < 1}
-    with pytest.raises(VergenceError, match="No camera is called 'left_0'"):
-        scanned_poses(scanned, replace(mapped, cameras=renamed), head, "a recording")
+    scanned, description, mapped = recorded(head)
+    other = replace(head, cameras={"left_0": head.cameras["left_wide"]})
+    with pytest.raises(VergenceError, match="No camera is called 'left_wide'"):
+        scanned_poses(scanned, description, mapped, other)
     for late_s in (-5.0, 5.0):
         late = replace(head, time_offset_s=late_s)
         with pytest.raises(VergenceError, match="None of 240 images has joint readings"):
-            scanned_poses(scanned, mapped, late, "a recording")
+            scanned_poses(scanned, description, mapped, late)
 
 
-def test_tables_and_transforms_hold_the_same_poses(tmp_path):
+def test_tables_hold_the_poses(tmp_path):
     found = poses_of(timed_head())
-    table = pose_table(found)
     write_csv(found, tmp_path / "poses.csv")
-    with (tmp_path / "poses.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
     write_parquet(found, tmp_path / "poses.parquet")
-    columns = parquet.read_table(tmp_path / "poses.parquet").to_pydict()
-    assert list(rows[0]) == list(columns) == list(table)
-    for name, column in table.items():
-        read = [row[name] for row in rows]
-        if column.dtype.kind == "f":
-            np.testing.assert_array_equal([float(cell or "nan") for cell in read], column)
-            parquet_column = [np.nan if cell is None else cell for cell in columns[name]]
-            np.testing.assert_array_equal(parquet_column, column)
-        else:
-            assert read == [str(cell) for cell in column.tolist()]
-            assert columns[name] == column.tolist()
+    read = parquet.read_table(tmp_path / "poses.parquet")
+    same_types = csv.ConvertOptions(column_types=read.schema)
+    assert read.equals(csv.read_csv(tmp_path / "poses.csv", convert_options=same_types))
+    table = {name: read[name].to_numpy() for name in read.column_names}
+    np.testing.assert_array_equal(table["stamp_ns"], found.stamp_ns)
+    np.testing.assert_array_equal(table["camera"], found.camera)
+    readings = np.stack([table[f"{name}_rad"] for name in EYE_JOINTS], axis=-1)
+    np.testing.assert_array_equal(readings, found.readings)
     quaternion = np.stack([table[name] for name in ("qx", "qy", "qz", "qw")], axis=-1)
     R = Rotation.from_quat(quaternion).as_matrix()
     np.testing.assert_allclose(R, found.T_head_cam[:, :3, :3], atol=1e-12)
+    for name, mounted in found.head.cameras.items():
+        own = (table["camera"] == name).argmax()
+        lens = mounted.intrinsics
+        values = [table[each][own] for each in intrinsics_names(lens)]
+        np.testing.assert_array_equal(values, lens_vector(lens))
 
 
 @pytest.mark.parametrize("name", ["poses.bag", "poses"])

@@ -41,7 +41,8 @@ from vergence.progress import Progress, silent
 from vergence.recordings.formats import open_recording
 from vergence.recordings.mapped_scan import on_the_clock, scan_mapped
 from vergence.recordings.moments import readings_at
-from vergence.recordings.recording_map import RecordingMap, describe
+from vergence.recordings.pose_tracks import eye_poses
+from vergence.recordings.recording_map import RecordingMap
 from vergence.recordings.scan import Scan
 
 _STEP_S = 1e-3
@@ -121,41 +122,38 @@ def recording_poses(
     readings are not those of the head.
     """
     with open_recording(path) as recording:
-        scanned, _ = scan_mapped(on_the_clock(recording, mapped), mapped, progress=progress)
-    return scanned_poses(scanned, mapped, head, str(path), progress=progress)
+        found = scan_mapped(on_the_clock(recording, mapped), mapped, progress=progress)
+    return scanned_poses(*found, mapped, head, progress=progress)
 
 
 def scanned_poses(
     scanned: Scan,
+    description: Description,
     mapped: RecordingMap,
     head: HeadCalibration,
-    where: str,
     *,
     progress: Progress = silent,
 ) -> CameraPoses:
-    """Compute the poses of the cameras in all images of a scanned recording, named by `where`.
+    """Compute the poses of the cameras in all images of a scanned recording.
 
     VergenceError if its cameras or readings are not those of the head.
     """
-    sizes = {name: track.size for name, track in scanned.images.items()}
-    description = describe(mapped, sizes, scanned.lenses)
-    _check(head, description, where)
+    _check(head, description, "the recording")
+    names = description.head_kinematics.readings
+
+    def joints(stamp_ns: np.ndarray, later_s: float) -> Array:
+        at_ns = stamp_ns + round((head.time_offset_s + later_s) * 1e9)
+        if mapped.poses:
+            return eye_poses(scanned.poses, mapped.poses, at_ns, max_gap_s=mapped.max_gap_s)
+        read = readings_at(scanned, mapped, description, at_ns)
+        return np.stack([read[name] for name in names], axis=-1)
+
     taken = []
     for name, source in mapped.cameras.items():
-        track = scanned.images[source.images]
-        stamp_ns = track.stamp_ns if mapped.stamps == "header" else track.received_ns
-        at_image_ns = stamp_ns + round(head.time_offset_s * 1e9)
-        joints = partial(_joints_at, scanned, mapped, description, at_image_ns)
-        index = np.arange(len(stamp_ns))
-        taken.append(_Taken(name, np.full(len(index), source.images), index, stamp_ns, joints))
+        stamp_ns = scanned.images[source.images].stamp_ns
+        channel, index = np.full(len(stamp_ns), source.images), np.arange(len(stamp_ns))
+        taken.append(_Taken(name, channel, index, stamp_ns, partial(joints, stamp_ns)))
     return _joined([_camera_poses(head, each, progress) for each in taken])
-
-
-def _joints_at(
-    scanned: Scan, mapped: RecordingMap, description: Description, at_ns: np.ndarray, later_s: float
-) -> Array:
-    read = readings_at(scanned, mapped, description, at_ns + round(later_s * 1e9))
-    return np.stack([read[name] for name in description.head_kinematics.readings], axis=-1)
 
 
 def _check(head: HeadCalibration, description: Description, where: str) -> None:
@@ -198,12 +196,14 @@ def _joined(parts: Sequence[CameraPoses]) -> CameraPoses:
 
 def _camera_poses(head: HeadCalibration, taken: _Taken, progress: Progress) -> CameraPoses:
     """Compute the poses of one camera in its images."""
-    eye, now = head.camera(taken.camera).eye, taken.joints(0.0)
-    moves = np.zeros(now.shape[1], bool)  # the camera: one of two eyes, or some of the readings
-    moves[EYES.index(eye) if measured(now) else head.kinematics.used(eye)] = True
-    rows = np.flatnonzero(np.isfinite(now[:, moves]).reshape(len(now), -1).all(axis=1))
-    now = now[rows]
-    before, after = (taken.joints(seconds)[rows] for seconds in (-_STEP_S, _STEP_S))
+    eye, read = head.camera(taken.camera).eye, taken.joints(0.0)
+    moves = np.zeros(read.shape[1], bool)  # the camera: one of two eyes, or some of the readings
+    moves[EYES.index(eye) if measured(read) else head.kinematics.used(eye)] = True
+    rows = np.flatnonzero(np.isfinite(read[:, moves]).reshape(len(read), -1).all(axis=1))
+    own, others = (moves[:, None, None], np.eye(4)) if measured(read) else (moves, 0.0)
+    before, now, after = (
+        np.where(own, taken.joints(seconds)[rows], others) for seconds in (-_STEP_S, 0.0, _STEP_S)
+    )
     before, after = (np.where(np.isfinite(each), each, now) for each in (before, after))
     rates = _difference(after, before) / (2 * _STEP_S)
     T_head_cam, stds = np.empty((len(rows), 4, 4)), np.empty((len(rows), 2))

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+import pyarrow
+from pyarrow import csv, parquet
 from scipy.spatial.transform import Rotation
 
 from vergence.arrays import Array
@@ -24,8 +25,8 @@ HEAD = "head"
 """Name of frame head in transforms; those of cameras are the cameras' names."""
 
 
-def pose_table(poses: CameraPoses) -> dict[str, np.ndarray]:
-    """Arrange poses as columns (N,) by name; NaN where a row has no such number.
+def pose_table(poses: CameraPoses) -> pyarrow.Table:
+    """Arrange poses as a table of N rows; null where a row has no such number.
 
     The pose maps coordinates of the camera into frame head; its quaternion is (qx, qy, qz, qw).
     """
@@ -43,7 +44,10 @@ def pose_table(poses: CameraPoses) -> dict[str, np.ndarray]:
     if poses.readings.size:
         names = [f"{name}_rad" for name in poses.head.kinematics.readings]
         table |= dict(zip(names, poses.readings.T, strict=True))
-    return table | _lens_columns(poses)
+    table |= _lens_columns(poses)
+    return pyarrow.table({
+        name: pyarrow.array(column, from_pandas=True) for name, column in table.items()
+    })  # fmt: skip
 
 
 def quaternions_xyzw(T: Array) -> Array:
@@ -69,26 +73,14 @@ def _lens_columns(poses: CameraPoses) -> dict[str, np.ndarray]:
 
 def write_csv(poses: CameraPoses, path: Path) -> None:
     """Write poses as comma-separated values; VergenceError if the file cannot be written."""
-    table = pose_table(poses)
-    columns = [column.tolist() for column in table.values()]
-    with whole_file(path) as part, part.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(table)
-        for row in zip(*columns, strict=True):
-            writer.writerow("" if cell != cell else cell for cell in row)  # NaN is a blank
+    with whole_file(path) as part:
+        csv.write_csv(pose_table(poses), part)
 
 
 def write_parquet(poses: CameraPoses, path: Path) -> None:
     """Write poses as an Apache Parquet file; VergenceError if the file cannot be written."""
-    import pyarrow
-    from pyarrow import parquet
-
-    table = pyarrow.table({
-        name: pyarrow.array(column, from_pandas=True) for name, column in pose_table(poses).items()
-    })  # fmt: skip
-    about = {"pose": "T_head_cam: camera to head, quaternion qx qy qz qw", "units": "m, rad, px"}
     with whole_file(path) as part:
-        parquet.write_table(table.replace_schema_metadata(about), part)
+        parquet.write_table(pose_table(poses), part)
 
 
 def write_transforms(poses: CameraPoses, path: Path) -> None:

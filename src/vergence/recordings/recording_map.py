@@ -50,6 +50,8 @@ class CameraSource:
     """Channel with its images."""
     lens: str | None = None
     """Channel with its lens; None: unknown."""
+    intrinsics_std_percent: Annotated[float, Field(ge=0, le=20)] | None = None
+    """As in dataset.json: how well that lens is known; 0: exactly, None: it is not used."""
 
 
 @dataclass(frozen=True, eq=False, config=_STRICT)
@@ -133,6 +135,7 @@ def describe(
             width=sizes[source.images][0],
             height=sizes[source.images][1],
             intrinsics=lenses.get(source.lens or ""),
+            intrinsics_std_percent=source.intrinsics_std_percent,
         )
         for name, source in mapped.cameras.items()
     }
