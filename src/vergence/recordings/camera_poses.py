@@ -146,7 +146,7 @@ def scanned_poses(
         if mapped.poses:
             return eye_poses(scanned.poses, mapped.poses, at_ns, max_gap_s=mapped.max_gap_s)
         read = readings_at(scanned, mapped, description, at_ns)
-        return np.stack([read[name] for name in names], axis=-1)
+        return np.array([read[name] for name in names]).reshape(len(names), len(at_ns)).T
 
     taken = []
     for name, source in mapped.cameras.items():
@@ -199,7 +199,7 @@ def _camera_poses(head: HeadCalibration, taken: _Taken, progress: Progress) -> C
     eye, read = head.camera(taken.camera).eye, taken.joints(0.0)
     moves = np.zeros(read.shape[1], bool)  # the camera: one of two eyes, or some of the readings
     moves[EYES.index(eye) if measured(read) else head.kinematics.used(eye)] = True
-    rows = np.flatnonzero(np.isfinite(read[:, moves]).reshape(len(read), -1).all(axis=1))
+    rows = np.flatnonzero(np.isfinite(read[:, moves]).all(axis=tuple(range(1, read.ndim))))
     own, others = (moves[:, None, None], np.eye(4)) if measured(read) else (moves, 0.0)
     before, now, after = (
         np.where(own, taken.joints(seconds)[rows], others) for seconds in (-_STEP_S, 0.0, _STEP_S)
