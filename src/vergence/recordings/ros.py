@@ -28,7 +28,7 @@ from scipy.spatial.transform import Rotation
 
 from vergence.errors import VergenceError, explain
 from vergence.geometry.se3 import pose
-from vergence.recordings.bag_limits import BoundedRos1Reader, check_folder, limit_opened
+from vergence.recordings.bag_limits import METADATA, check_folder, limit_opened
 from vergence.recordings.recording import (
     Channel,
     Content,
@@ -74,7 +74,7 @@ def recognise(path: Path) -> bool:
     """Test whether a path is a bag by its name or its metadata, or a folder of split ROS 1 bags."""
     return (
         path.suffix in SUFFIXES
-        or os.path.exists(path / "metadata.yaml")
+        or os.path.exists(path / METADATA)
         or any(path.glob("*.bag") if os.path.isdir(path) else ())
     )
 
@@ -98,12 +98,12 @@ def _open(path: Path, stack: ExitStack) -> _Bag:
     files = [path]
     if os.path.isdir(path):
         check_folder(path)
-        if not os.path.exists(path / "metadata.yaml"):
+        if not os.path.exists(path / METADATA):
             files = sorted(path.glob("*.bag"))
     elif not os.path.isfile(path):  # to open a pipe would block
         raise VergenceError(f"{path} is not a regular file.")
     if files and files[0].suffix == ".bag" and os.path.isfile(files[0]):
-        readers = [stack.enter_context(BoundedRos1Reader(file)) for file in files]
+        readers = [stack.enter_context(Ros1Reader(file)) for file in files]
         return _Bag(path, readers, typestore(ros1=True), ros1=True)
     reader = stack.enter_context(Ros2Reader(path))
     return _Bag(path, [reader], typestore(ros1=False), False, limit_opened(reader))

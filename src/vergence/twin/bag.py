@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 from heapq import merge
 from operator import attrgetter
@@ -30,9 +30,8 @@ LENSES = "/{}/camera_info"
 """Channels, with the name of a camera, as ROS's drivers name them."""
 MAX_RATE_HZ = 2000.0
 """Highest rate of joint readings [Hz]; the twin moves in steps of 1 ms."""
-_TRANSPORT_NS = 2_000_000, 20_000_000
-"""Images are received this much later than they are taken, at least and at most [ns]; a camera on
-USB needs 5 to 20 ms."""
+_TRANSPORT_NS = 12_000_000
+"""Time [ns] from taking an image to its receipt; a camera on USB needs 5 to 20 ms."""
 
 
 @dataclass(frozen=True)
@@ -53,35 +52,16 @@ class BagSettings:
         return "recording.bag" if self.storage == "ros1" else "recording"
 
     def __post_init__(self) -> None:
-        if not 0 <= self.joint_rate_hz <= MAX_RATE_HZ:
+        if not (0 <= self.joint_rate_hz <= MAX_RATE_HZ and 0 <= self.missing < 1):
             raise VergenceError(
-                f"Joints are read at a rate up to {MAX_RATE_HZ:g} Hz, or 0 for once a frame; asked "
-                f"for {self.joint_rate_hz:g}."
+                f"A bag has joint readings at 0 to {MAX_RATE_HZ:g} Hz, less a part from 0 to below "
+                f"1; asked for {self.joint_rate_hz:g} Hz, less {self.missing:g}."
             )
-        if not 0 <= self.missing < 1:
-            raise VergenceError(
-                f"The part of joint messages that is lost is from 0 to less than 1; asked for "
-                f"{self.missing:g}."
-            )
-
-
-@dataclass(eq=False)
-class SensorLog:
-    """Postures on the sensors' side during a recording, as `Twin.watch` takes them."""
-
-    time_s: list[float] = field(default_factory=list)
-    sensed: list[Array] = field(default_factory=list)
-    """(j,) [rad] at each time."""
-
-    def __call__(self, time_s: float, sensed: Array) -> None:
-        """Add a posture."""
-        self.time_s.append(time_s)
-        self.sensed.append(sensed)
 
 
 def write_twin_bag(
     dataset: Dataset,
-    log: SensorLog,
+    log: Sequence[tuple[float, Array]],
     truth: HeadCalibration,
     settings: BagSettings,
     *,
@@ -91,18 +71,20 @@ def write_twin_bag(
 ) -> Path:
     """Write a dataset of the twin with its stream of joint readings into a bag beside its files.
 
-    `joints` are the errors of the sensors. VergenceError if the bag cannot be written.
+    `log` has the times [s] and the postures (j,) [rad] on the sensors' side that `Twin.watch` saw,
+    and `joints` the errors of the sensors. VergenceError if the bag cannot be written.
     """
     path = dataset.folder / settings.file_name
     rng = np.random.default_rng([seed, 63])
     last_ns = round(float(dataset.time_s[-1]) * 1e9)
     if settings.joint_rate_hz:
         period_ns = 1e9 / settings.joint_rate_hz
-        past = np.arange(int((last_ns - log.time_s[0] * 1e9) / period_ns), -1, -1)
+        past = np.arange(int((last_ns - log[0][0] * 1e9) / period_ns), -1, -1)
         time_ns = last_ns - np.round(past * period_ns).astype(int)
         at_s = time_ns * 1e-9 - max(0.0, joints.delay_ms * 1e-3)
-        columns = np.array(log.sensed).T
-        sensed = np.stack([np.interp(at_s, log.time_s, column) for column in columns], axis=1)
+        known_s, postures = zip(*log, strict=True)
+        columns = np.array(postures).T
+        sensed = np.stack([np.interp(at_s, known_s, column) for column in columns], axis=1)
         neck, eyes = np.split(sensed, [len(dataset.description.neck_joints)], axis=1)
         eyes = read(eyes, joints, rng, dataset.description.head_kinematics)
     else:
@@ -114,7 +96,7 @@ def write_twin_bag(
         message(JOINTS, BEGIN_NS + at, JointSample(names, row))
         for at, row in zip(time_ns[kept].tolist(), values, strict=True)
     )
-    images = sorted(_images(dataset, rng), key=attrgetter("received_ns"))
+    images = list(_images(dataset))
     lenses = [
         message(LENSES.format(name), BEGIN_NS, truth.camera(name).intrinsics)
         for name in (dataset.files if settings.lenses else ())
@@ -145,15 +127,14 @@ def _columns(description: Description, eyes: Array, neck: Array) -> tuple[tuple[
     return tuple(columns), np.stack(list(columns.values()), axis=1)
 
 
-def _images(dataset: Dataset, rng: np.random.Generator) -> Iterator[Message]:
+def _images(dataset: Dataset) -> Iterator[Message]:
     """Yield the images of a dataset, which are read when they are decoded."""
     for row, time_s in enumerate(dataset.time_s.tolist()):
         stamp_ns = BEGIN_NS + round(time_s * 1e9)
         for name, files in dataset.files.items():
             if files[row] is not None:
-                received_ns = stamp_ns + int(rng.integers(*_TRANSPORT_NS))
                 decode = partial(_grey, dataset, name, row)
-                yield Message(IMAGES.format(name), stamp_ns, received_ns, decode)
+                yield Message(IMAGES.format(name), stamp_ns, stamp_ns + _TRANSPORT_NS, decode)
 
 
 def _grey(dataset: Dataset, camera: str, row: int) -> np.ndarray:

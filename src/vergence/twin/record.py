@@ -29,7 +29,7 @@ from vergence.geometry.board import Board, Charuco
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Side
 from vergence.progress import Progress, silent
-from vergence.twin.bag import BagSettings, SensorLog, write_twin_bag
+from vergence.twin.bag import BagSettings, write_twin_bag
 from vergence.twin.calibration_sequence import (
     BOARD,
     NARROW_VIEWS,
@@ -142,9 +142,9 @@ def record(
             )
             (folder / TRUTH).write_text(as_json(truth), encoding="utf-8")
 
-        log = SensorLog()
+        log: list[tuple[float, Array]] = []
         if bag is not None and bag.joint_rate_hz:
-            twin.watch = log
+            twin.watch = lambda *posture: log.append(posture)
         write_dataset(out, description, rows(), beside=write_truth)
         if bag is not None:
             data, sensors = load_dataset(out), profile.joints
