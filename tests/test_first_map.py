@@ -127,7 +127,7 @@ def test_the_board_is_found_but_not_its_size(board, tmp_path):
 
 
 def test_hostile_names_stay_inside_their_strings():
-    nasty = 'x"\n[board]\nkind = "chessboard" # \x7f\x00 ☃ \\'
+    nasty = '"\n[board]\nkind = "chessboard" # \x7f\x00 ☃ \\'
     joints = {f"{name}{nasty}": 0.3 for name in PAN_TILT}
     mapped = guessed(listing((f"/left/{nasty}", f"/right/{nasty}"), joints))
     assert mapped.board is None
