@@ -46,7 +46,7 @@ class Session:
     """(R, 4) joint angles of each rest [rad]."""
     T_lbase_target: Array
     """(R, 4, 4) pose of the board in each rest."""
-    rest_ns: int = 500_000_000
+    rest_ns: int = 600_000_000
     move_ns: int = 300_000_000
 
     @property

@@ -53,7 +53,7 @@ def test_a_bag_becomes_a_dataset(bag, tmp_path, monkeypatch):
     at_rest = 0
     for row in range(len(dataset)):
         t = round(dataset.time_s[row] * 1e9) - START_NS
-        if abs(t % session.period_ns - session.rest_ns / 2) > session.rest_ns / 3:
+        if abs(t % session.period_ns - session.rest_ns / 2) > session.rest_ns / 2:
             continue
         t, at_rest = round(t, -5), at_rest + 1  # the stamp is rounded
         np.testing.assert_allclose(dataset.eye_angles[row], session.angles_at(t), atol=1e-12)

@@ -78,7 +78,7 @@ def import_recording(
             seen = np.any([np.isfinite(uv).any(axis=(1, 2)) for uv in corners.values()], axis=0)
             if not seen.any():
                 raise VergenceError(f"{path}: {_why_no_board(description.board, again, chosen)}.")
-            placement = number_placements(description, moments, chosen, corners)
+            placement = number_placements(description, moments, chosen, corners, mapped.frames)
             shown = _with_board(moments, chosen, seen & (placement >= 0))
             chosen, placement = _take(chosen, shown), placement[shown]
 

@@ -34,7 +34,7 @@ class Moments:
     images: Mapping[str, np.ndarray]
     """By camera (N,) of int: the index of its image in the track of its channel; -1: none."""
     change: Mapping[str, Array]
-    """By camera (N,) [grey levels], as in ImageTrack; NaN without an image."""
+    """By camera (N,) [px], as in ImageTrack; NaN without an image."""
     eye_angles: Array
     """(N, r) [rad] in the order of the description's readings; NaN where not known."""
     neck_angles: Array
@@ -111,7 +111,7 @@ def _join_at_rest(
     Returns (N,) of bool: which moments keep images.
     """
     still = np.abs(np.diff(posture, axis=0)).max(axis=1, initial=0.0) <= STILL
-    still = np.concatenate([[True], still, [True]])  # before and after each moment
+    still = np.concatenate([[False], still, [False]])  # before and after each moment
     kept, first = np.ones(len(time_ns), bool), 0
     for k in range(1, len(time_ns)):
         near = time_ns[k] - time_ns[first] <= 0.5 * JITTER * period_ns
