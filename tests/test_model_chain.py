@@ -11,7 +11,8 @@ import pytest
 from vergence.errors import VergenceError
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.se3 import pose
-from vergence.twin.designed_head import DesignedHead, designed_head, disagreement
+from vergence.twin.designed_head import DesignedHead, designed_head
+from vergence.twin.head_checks import disagreement
 from vergence.twin.head_file import HeadFile, load_head_file
 from vergence.twin.head_guess import completed
 from vergence.twin.head_lens import lens_of

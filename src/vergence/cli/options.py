@@ -71,7 +71,7 @@ ExperimentArguments = Annotated[ExperimentOptions, tyro.conf.arg(name="")]
 DATASET_FILES = ("dataset.json", "frames.csv")
 IDENTIFYING = (
     "dataset.json", "dataset.rrd", "depth.rrd", "design.json", "foveate.rrd", "grasp.rrd",
-    "statistics.json", "track.rrd",
+    "head.rrd", "statistics.json", "track.rrd",
 )  # fmt: skip
 """Files that identify a folder as a dataset, or as the results of a command."""
 

@@ -66,10 +66,10 @@ def save(head: HeadCalibration, path: Path, limits: JointLimits | None = None) -
     ElementTree.SubElement(robot, "link", name="body")
     neck = head.neck
     n = len(neck.axes)
-    names = neck.names or [f"neck_{k + 1}" for k in range(n)]
+    names = [*map(_identifier, neck.names)]
     links = ["body", *names]
     for k, step in enumerate(np.diff(neck.points_m, axis=0, prepend=np.zeros((1, 3)))):
-        limit = stated.get(names[k], _USUAL)
+        limit = stated.get(neck.names[k], _USUAL)
         _add_joint(robot, names[k], links[k], names[k], pose(t=step), neck.axes[k], limit)
     T_last_head = pose(t=neck.head_m - (neck.points_m[-1] if n else 0.0))
     _add_joint(robot, "head_joint", links[-1], "head", T_last_head)
@@ -189,9 +189,9 @@ def _add_joint(
         ElementTree.SubElement(joint, "limit", {key: _text(value) for key, value in numbers})
         inertial = ElementTree.SubElement(link, "inertial")
         ElementTree.SubElement(inertial, "mass", value=_text(MASS_KG))
-        moments = dict.fromkeys(("ixx", "iyy", "izz"), _text(INERTIA_KG_M2))
-        products = dict.fromkeys(("ixy", "ixz", "iyz"), "0")
-        ElementTree.SubElement(inertial, "inertia", moments | products)
+        moment = _text(INERTIA_KG_M2)
+        inertia = {"ixx": moment, "iyy": moment, "izz": moment, "ixy": "0", "ixz": "0", "iyz": "0"}
+        ElementTree.SubElement(inertial, "inertia", inertia)
     return joint
 
 

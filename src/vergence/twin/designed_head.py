@@ -19,19 +19,13 @@ from scipy.spatial.transform import Rotation
 from vergence.arrays import Array
 from vergence.errors import VergenceError, explain
 from vergence.geometry.camera import Camera
-from vergence.geometry.head import (
-    R_EYE_CAM,
-    HeadCalibration,
-    MountedCamera,
-    base_pose,
-    camera_pose_in_base,
-)
+from vergence.geometry.head import R_EYE_CAM, HeadCalibration, MountedCamera
 from vergence.geometry.joints import PARALLEL, Joint
 from vergence.geometry.kinematics import EYES, Kinematics, Side
-from vergence.geometry.neck import Neck, head_pose
+from vergence.geometry.neck import Neck
 from vergence.geometry.se3 import inverse, pose
 from vergence.twin.head_file import CameraFile, HeadFile
-from vergence.twin.model_chain import ModelChain, model_chain, resting
+from vergence.twin.model_chain import ModelChain, model_chain
 from vergence.twin.model_readings import model_readings
 
 R_MJCAM_CAM = np.diag([1.0, -1.0, -1.0])
@@ -137,48 +131,6 @@ def designed_head(
     return DesignedHead(head, base, T_base_head, names, neck, bodies, T_body_cam)
 
 
-def disagreement(model: mujoco.MjModel, designed: DesignedHead, postures: int = 20) -> float:
-    """Compare the head's kinematics with MuJoCo's at random postures of eyes and neck.
-
-    Returns the largest difference of an element of a pose: of a camera in the base, and of the base
-    against where it is with a straight neck. Readings and angles are within 1 rad.
-    """
-    head, data = designed.head, mujoco.MjData(model)
-    moving = list(dict.fromkeys(joint for eye in designed.eyes.values() for joint in eye))
-    rows = {
-        joint: (chain.mixing[k], chain.offset_rad[k])
-        for eye, chain in head.kinematics.chains.items()
-        for k, joint in enumerate(designed.eyes.get(eye, ()))
-    }
-
-    def placed(name: str) -> Array:
-        body = data.body(name)
-        return pose(body.xmat.reshape(3, 3), body.xpos)
-
-    rng, worst, straight = np.random.default_rng(0), 0.0, np.zeros(len(designed.neck))
-    data.qpos[:] = resting(model)
-    T_world_body = np.eye(4)
-    for k in range(postures + 1):
-        readings = rng.uniform(-1, 1, len(head.kinematics.readings))
-        neck = rng.uniform(-1, 1, len(designed.neck)) if k else straight
-        for joint in moving:
-            data.joint(joint).qpos[0] = rows[joint][0] @ readings + rows[joint][1]
-        for joint, angle in zip(designed.neck, neck, strict=True):
-            data.joint(joint).qpos[0] = angle
-        mujoco.mj_kinematics(model, data)
-        T_world_base = placed(designed.base)
-        T_world_head = T_world_base @ designed.T_base_head
-        if not k:
-            T_world_body = T_world_head @ inverse(head_pose(head.neck, straight))
-        pairs = [(T_world_head, T_world_body @ head_pose(head.neck, neck))]
-        for name, mounted in head.cameras.items():
-            T_world_cam = placed(designed.cameras[name]) @ designed.T_body_cam[name]
-            T_head_cam = base_pose(head, mounted.eye) @ camera_pose_in_base(head, name, readings)
-            pairs.append((T_world_cam, T_world_head @ T_head_cam))
-        worst = max(worst, *(float(np.abs(a - b).max()) for a, b in pairs))
-    return worst
-
-
 def axes_along(forward: Array, up: Array) -> Array:
     """Make the rotation (3, 3) of axes x along `forward` and z as near to `up` as possible."""
     x = np.array(forward) / np.linalg.norm(forward)
@@ -269,4 +221,4 @@ def _neck(model: mujoco.MjModel, stated: HeadFile, R_base_head: Array, centre: A
     head = chain.T_base_end[:3, :3] @ centre + chain.T_base_end[:3, 3]
     joints = tuple(map(reading_name, chain.joints))
     points, end = (chain.points_m - origin) @ R, (head - origin) @ R
-    return Neck(chain.axes @ R, points, end, joints)  # pyright: ignore[reportArgumentType]
+    return Neck(chain.axes @ R, points, end, joints)

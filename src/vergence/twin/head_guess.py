@@ -17,7 +17,7 @@ from vergence.geometry.kinematics import EYES, Side
 from vergence.geometry.se3 import cross
 from vergence.twin.designed_head import camera_body, camera_in_body, camera_place
 from vergence.twin.head_file import CameraFile, HeadFile
-from vergence.twin.model_chain import bodies_between, check_open, joints_of, model_chain
+from vergence.twin.model_chain import ancestors, bodies_between, check_open, joints_of, model_chain
 from vergence.twin.model_readings import model_readings
 
 NECK_JOINTS = 3
@@ -133,48 +133,52 @@ def _hinges(model: mujoco.MjModel, body: str, stated: HeadFile) -> list[str]:
     return found
 
 
+def named_cameras(model: mujoco.MjModel, names: Iterable[str]) -> dict[str, CameraFile]:
+    """Describe cameras of a model, or links that are taken for cameras, by their names.
+
+    The axes of a link are those that REP 103 has for its name.
+    """
+    known, found = {model.camera(k).name for k in range(model.ncam)}, {}
+    for name in names:
+        plain = re.sub(r"[^A-Za-z0-9_-]", "_", name)[:50]
+        plain = plain if plain[0].isalpha() and plain not in EYES else f"camera_{plain}"
+        if name in known:
+            found[plain] = CameraFile() if name == plain else CameraFile(camera=name)
+        else:
+            like = (c for pattern, c in _LINKS if re.search(pattern, name, re.IGNORECASE))
+            link = {"body": name, "fov_deg": USUAL_FOV_DEG}
+            found[plain] = next(like, CameraFile()).model_copy(update=link)
+    return found
+
+
 def _found_cameras(stated: HeadFile, model: mujoco.MjModel) -> dict[str, CameraFile]:
     """Find the cameras that a joint moves or, without any, links whose names are a camera's."""
-    found, fixed = {}, int(mujoco.mjtCamLight.mjCAMLIGHT_FIXED)
+    fixed, names = int(mujoco.mjtCamLight.mjCAMLIGHT_FIXED), []
     for k in range(model.ncam):
-        body = int(model.cam_bodyid[k])
-        if model.cam_mode[k] == fixed and joints_of(model, bodies_between(model, 0, body)):
-            own, name = model.camera(k).name, _camera_name(model.camera(k).name)
-            found[name] = CameraFile(camera=own) if name != own else CameraFile()
-    if found:
-        return found
-    if model.ncam:
-        names = ", ".join(model.camera(k).name for k in range(model.ncam))
+        path = bodies_between(model, 0, int(model.cam_bodyid[k]))
+        if model.cam_mode[k] == fixed and joints_of(model, path):
+            names.append(model.camera(k).name)
+    if model.ncam and not names:
+        others = ", ".join(model.camera(k).name for k in range(model.ncam))
         raise VergenceError(
-            f"No camera of {stated.model} is carried by a joint, as eyes are; it has {names}."
+            f"No camera of {stated.model} is carried by a joint, as eyes are; it has {others}."
         )
-    names = [model.body(b).name for b in range(1, model.nbody)]
-    for pattern, camera in _LINKS:
+    links = [model.body(b).name for b in range(1, model.nbody)] if not names else []
+    for pattern, _ in _LINKS:
         groups: dict[tuple[int, ...], list[str]] = {}
-        for name in names:
+        for name in links:
             path = tuple(joints_of(model, bodies_between(model, 0, model.body(name).id)))
             if path and re.search(pattern, name, re.IGNORECASE):
                 groups.setdefault(path, []).append(name)
         inner = {path[:n] for path in groups for n in range(len(path))}
         outermost = [min(group, key=len) for path, group in groups.items() if path not in inner]
-        if outermost:
-            lens = {"fov_deg": USUAL_FOV_DEG}
-            return {
-                _camera_name(f"{name}_camera" if name in EYES else name): camera.model_copy(
-                    update=lens | {"body": name}
-                )
-                for name in outermost
-            }
-    raise VergenceError(
-        f"{stated.model} has no camera that a joint moves, and no link that is called a camera or "
-        "an eye; add cameras to the model, or name the links under [cameras] in head.toml."
-    )
-
-
-def _camera_name(name: str) -> str:
-    """Make a name that a camera may have."""
-    name = re.sub(r"[^A-Za-z0-9_-]", "_", name)[:50]
-    return name if name[0].isalpha() and name not in EYES else f"camera_{name}"
+        names = names or outermost
+    if not names:
+        raise VergenceError(
+            f"{stated.model} has no camera that a joint moves, and no link that is called a camera "
+            "or an eye; add cameras to the model, or name the links under [cameras] in head.toml."
+        )
+    return named_cameras(model, names)
 
 
 def _base(
@@ -192,7 +196,7 @@ def _base(
             taken += 1
         first = {path[min(len(shared) - taken, len(path) - 1)] for path in paths}
     bodies = [int(model.jnt_bodyid[model.joint(joint).id]) for joint in first]
-    above = [set(_ancestors(model, int(model.body_parentid[body]))) for body in bodies]
+    above = [set(ancestors(model, int(model.body_parentid[body]))) for body in bodies]
     return model.body(max(set.intersection(*above))).name  # bodies are numbered outwards
 
 
@@ -208,15 +212,10 @@ def _turns_about_two(axes: Iterable[Array]) -> bool:
     return any(np.linalg.norm(np.cross(a, b)) > PARALLEL for a, b in combinations(axes, 2))
 
 
-def _ancestors(model: mujoco.MjModel, body: int) -> list[int]:
-    """List a body and all bodies before it."""
-    return [0, *bodies_between(model, 0, body)]
-
-
 def _is_beyond(model: mujoco.MjModel, base: str, joint: str) -> bool:
     """Check whether a joint moves a body against a base before it."""
     body = int(model.jnt_bodyid[model.joint(joint).id])
-    return model.body(base).id in _ancestors(model, body)[:-1]
+    return model.body(base).id in ancestors(model, body)[:-1]
 
 
 def _directions(

@@ -51,6 +51,11 @@ def bodies_between(model: mujoco.MjModel, base: int, end: int) -> list[int]:
     return path[::-1]
 
 
+def ancestors(model: mujoco.MjModel, body: int) -> list[int]:
+    """List a body (id) and all bodies before it, from the world outwards."""
+    return [0, *bodies_between(model, 0, body)]
+
+
 def joints_of(model: mujoco.MjModel, bodies: Sequence[int]) -> list[int]:
     """List the joints (ids) of bodies, in their order."""
     return [
