@@ -265,9 +265,14 @@ def _read_motion(
     """Fit polynomials in time to what was read around B postures, from the reading's moment on.
 
     Also returns (B,) of bool: where the board is seen in too few rows to determine the trajectory.
-    A polynomial through these would bridge motions that only the readings show.
+    A polynomial through these would bridge motions that only the readings show. Those of a stream
+    at its own rate show more than the rows, unless these have a polynomial of full degree.
     """
     view = postures.view
+    if when.stream is not None:
+        motion = timing.course(when, read)[view[:, None], postures.columns]
+        resolved = (around.weights[..., -1] != 0).any(axis=1)
+        return motion, (when.run[view] > 0) & ~resolved
     motion = np.zeros((*postures.reading.shape, timing.TRAJECTORY_DEGREE))
     seldom = np.zeros(len(view), bool)
     nearby_s = when.time_s[view][around.neighbours]

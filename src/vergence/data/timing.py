@@ -27,6 +27,16 @@ _SLACK_S = 1e-6  # so that rounding of time stamps drops no row
 
 
 @dataclass(frozen=True, eq=False)
+class JointStream:
+    """S samples of the joints, at a rate of their own."""
+
+    time_s: Array
+    """(S,) increasing, on the clock of the views' readings."""
+    readings: Array
+    """(S, r) [rad] in the order of the views' readings."""
+
+
+@dataclass(frozen=True, eq=False)
 class Timing:
     """When V views were taken."""
 
@@ -34,10 +44,12 @@ class Timing:
     """(V,) of the joint readings; of no meaning where the eyes stood still."""
     run: np.ndarray
     """(V,) of int: views of one motion share a number from 1; 0 where the eyes stood still."""
+    stream: JointStream | None = None
+    """All samples around the motions; None: the readings of the views are all there are."""
 
     def take(self, rows: np.ndarray) -> Timing:
         """Select views by index or by a mask."""
-        return Timing(self.time_s[rows], self.run[rows])
+        return Timing(self.time_s[rows], self.run[rows], self.stream)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,31 +68,59 @@ def stencil(time_s: Array, run: np.ndarray, wanted: np.ndarray | None = None) ->
 
     `wanted` (N,) of bool selects samples; the polynomials of others are zero. None: all.
     """
-    N = len(time_s)
-    found: list[tuple[int, np.ndarray, Array]] = []
+    found: list[_Fit] = []
     for number in np.unique(run[run > 0]):
         rows = np.flatnonzero(run == number)
         rows = rows[np.argsort(time_s[rows], kind="stable")]
         t = time_s[rows]
         for row, now in zip(rows, t, strict=True):
-            if wanted is not None and not wanted[row]:
-                continue
-            # At an end of the motion the neighbours are all on one side, but as many.
-            begin = np.clip(now - WINDOW_S, t[0], max(t[0], t[-1] - 2 * WINDOW_S))
-            near = np.searchsorted(t, [begin - _SLACK_S, begin + 2 * WINDOW_S + _SLACK_S])
-            if near[1] - near[0] < LEAST_ROWS:
-                first = np.searchsorted(t, now) - LEAST_ROWS // 2
-                near[0] = max(0, min(first, len(t) - LEAST_ROWS))
-                near[1] = min(near[0] + LEAST_ROWS, len(t))
-            window = slice(*near)
-            degree = min(TRAJECTORY_DEGREE, (near[1] - near[0] + 2) // 3)
-            s = (t[window] - now) / WINDOW_S
-            fit = np.linalg.pinv(s[:, None] ** np.arange(degree + 1))[1:]
-            fit = fit / WINDOW_S ** np.arange(1, degree + 1)[:, None]
-            found.append((row, rows[window], fit.T))
-    W = max((len(rows) for _, rows, _ in found), default=1)
+            if wanted is None or wanted[row]:
+                window, fit = _polynomial(t, now)
+                found.append((row, rows[window], fit))
     # Places that are not needed are of the sample itself: another may be NaN, and 0 x NaN is NaN.
-    neighbours = np.tile(np.arange(N, dtype=np.intp)[:, None], W)
+    return _stencil(found, np.arange(len(time_s), dtype=np.intp))
+
+
+def course(timing: Timing, readings: Array) -> Array:
+    """Compute the coefficients (V, r, TRAJECTORY_DEGREE) of polynomials in time around each view.
+
+    They go through the samples of the stream or, without one, the readings (V, r) of the views.
+    """
+    if timing.stream is None:
+        return coefficients(stencil(timing.time_s, timing.run), readings)
+    samples = timing.stream
+    moving = np.flatnonzero(timing.run > 0)
+    found = [(k, *_polynomial(samples.time_s, timing.time_s[k])) for k in moving]
+    every = np.arange(len(samples.time_s))
+    fits = [(k, every[window], fit) for k, window, fit in found]
+    around = _stencil(fits, np.zeros(len(timing.run), dtype=np.intp))
+    return coefficients(around, samples.readings)
+
+
+_Fit = tuple[int, np.ndarray, Array]
+"""Of which sample a polynomial is, its neighbours (W,), and weights (W, degree) of these."""
+
+
+def _polynomial(t: Array, now: float) -> tuple[slice, Array]:
+    """Choose the window of times (N,) around one, and the weights (W, degree) of its samples."""
+    # At an end of the motion the neighbours are all on one side, but as many.
+    begin = np.clip(now - WINDOW_S, t[0], max(t[0], t[-1] - 2 * WINDOW_S))
+    near = np.searchsorted(t, [begin - _SLACK_S, begin + 2 * WINDOW_S + _SLACK_S])
+    if near[1] - near[0] < LEAST_ROWS:
+        first = np.searchsorted(t, now) - LEAST_ROWS // 2
+        near[0] = max(0, min(first, len(t) - LEAST_ROWS))
+        near[1] = min(near[0] + LEAST_ROWS, len(t))
+    window = slice(*near)
+    degree = min(TRAJECTORY_DEGREE, (near[1] - near[0] + 2) // 3)
+    s = (t[window] - now) / WINDOW_S
+    fit = np.linalg.pinv(s[:, None] ** np.arange(degree + 1))[1:]
+    return window, (fit / WINDOW_S ** np.arange(1, degree + 1)[:, None]).T
+
+
+def _stencil(found: list[_Fit], unused: np.ndarray) -> Stencil:
+    """Assemble the polynomials of N samples; (N,) stand in places that are not needed."""
+    N, W = len(unused), max((len(rows) for _, rows, _ in found), default=1)
+    neighbours = np.tile(unused[:, None], W)
     weights = np.zeros((N, W, TRAJECTORY_DEGREE))
     for row, rows, fit in found:
         neighbours[row, : len(rows)] = rows
@@ -130,9 +170,9 @@ def pose_coefficients(around: Stencil, T: Array) -> Array:
 
 def moved_readings(readings: Array, timing: Timing, seconds: float) -> Array:
     """Move readings (V, J), or eye poses (V, 2, 4, 4), in time by some seconds."""
-    around = stencil(timing.time_s, timing.run)
     if readings.ndim == 2:
-        return readings + change(coefficients(around, readings), seconds)
+        return readings + change(course(timing, readings), seconds)
+    around = stencil(timing.time_s, timing.run)
     later = [
         boxplus(T, change(pose_coefficients(around, T), seconds))
         for T in np.moveaxis(readings, 1, 0)

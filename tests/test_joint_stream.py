@@ -1,0 +1,78 @@
+"""Readings at a rate of their own give the time offset, whatever the rate of the images."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from simulated_head import random_head
+from simulated_recording import Noise, moving_recording, still_recording
+from vergence.arrays import Array
+from vergence.calibration.bundle_adjustment import bundle_adjust
+from vergence.calibration.initial import calibrate_sequentially
+from vergence.data.timing import JointStream, Timing, moved_readings
+from vergence.geometry.parameters import boxminus
+from vergence.recordings.interpolation import interpolate
+from vergence.recordings.scan import JointTrack
+
+OFFSET_S = 0.045
+
+
+def stream_of(rng: np.random.Generator, gaze, until_s: float, noise_rad: float) -> JointStream:
+    """Return readings at 97 Hz of which a tenth is missing."""
+    t = np.arange(0, until_s, 1 / 97)
+    t = t[rng.random(len(t)) > 0.1]
+    return JointStream(t, gaze(t) + rng.normal(0, noise_rad, (len(t), 4)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("rate_hz", "with_stream", "seed"),
+    [(30, False, 0), (30, False, 1), (30, True, 1), (5, True, 2)],
+)
+def test_a_latency_of_45_ms_is_found_among_readings_at_97_hz_with_gaps(
+    rate_hz: int, with_stream: bool, seed: int
+):
+    rng, noise_rad = np.random.default_rng([7, seed]), np.radians(0.1)
+    truth = random_head(rng)
+    how = {"wide_views": 10, "narrow_views": 8, "orientations": 20, "spread_rad": 0.25}
+    still = still_recording(truth, rng, Noise(0.1, noise_rad), **how)
+    amplitude, frequency = rng.uniform(0.15, 0.25, 4), 2 * np.pi * rng.uniform(0.3, 1.0, 4)
+    phase = rng.uniform(0, 2 * np.pi, 4)
+
+    def gaze(t: Array) -> Array:
+        return amplitude * np.cos(frequency * t[:, None] + phase)
+
+    t = 0.5 + np.arange(90) / rate_hz
+    stream = stream_of(rng, gaze, t[-1] + 0.5, noise_rad)
+    moving = moving_recording(
+        truth, rng, Noise(0.1), still, times_s=t, gaze=gaze, time_offset_s=OFFSET_S
+    )
+    stamp_ns, at_ns = (np.round(each * 1e9).astype(np.int64) for each in (stream.time_s, t))
+    readings = moving.eye_angles.copy()
+    for k, values in enumerate(stream.readings.T):
+        readings[-len(t) :, k] = interpolate(JointTrack(stamp_ns, values), at_ns, max_gap_s=0.1)
+    assert moving.timing is not None
+    timing = replace(moving.timing, stream=stream if with_stream else None)
+    seen = replace(moving, eye_angles=readings, timing=timing)
+    start = calibrate_sequentially(seen.take(seen.at_rest)).head
+    found = bundle_adjust(start, seen)
+    error = boxminus(found.head, replace(truth, time_offset_s=OFFSET_S))["time_offset_s"]
+    row = found.parameters.index("time_offset_s")
+    assert abs(error) < 0.5e-3
+    assert abs(error) < 4 * np.sqrt(found.covariance[row, row])
+
+
+def test_readings_at_5_hz_are_moved_along_the_samples_of_a_stream():
+    def swing(t: Array) -> Array:
+        return 0.25 * np.cos(2 * np.pi * t[:, None] + np.arange(4))
+
+    rng = np.random.default_rng(0)
+    t, run = 0.5 + np.arange(10) / 5, np.repeat([1, 2, 0], [4, 4, 2])
+    timing = Timing(t, run, stream_of(rng, swing, 3.0, 0.0))
+    moved = moved_readings(swing(t), timing, OFFSET_S)
+    np.testing.assert_allclose(moved[run > 0], swing(t + OFFSET_S)[run > 0], atol=1e-5)
+    np.testing.assert_array_equal(moved[run == 0], swing(t)[run == 0])
+    some = run != 1
+    np.testing.assert_array_equal(moved_readings(swing(t)[some], timing.take(some), OFFSET_S),
+                                  moved[some])  # fmt: skip
