@@ -111,7 +111,7 @@ def _join_at_rest(
     Returns (N,) of bool: which moments keep images.
     """
     still = np.abs(np.diff(posture, axis=0)).max(axis=1, initial=0.0) <= STILL
-    still = np.concatenate([[False], still, [False]])  # before and after each moment
+    still = np.concatenate([[True], still, [True]])  # before and after each moment
     kept, first = np.ones(len(time_ns), bool), 0
     for k in range(1, len(time_ns)):
         near = time_ns[k] - time_ns[first] <= 0.5 * JITTER * period_ns

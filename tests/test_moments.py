@@ -1,0 +1,203 @@
+"""Images and joint readings are brought together by their stamps, or one sentence says why not."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from vergence.data.description import DatasetJoint, Description
+from vergence.errors import VergenceError
+from vergence.findings import Finding
+from vergence.geometry.se3 import inverse, pose
+from vergence.recordings.clocks import check_stamps
+from vergence.recordings.interpolation import interpolate
+from vergence.recordings.moments import Moments, find_moments
+from vergence.recordings.pose_tracks import needed_frames
+from vergence.recordings.recording import Channel, FramePose, Message, Recording
+from vergence.recordings.recording_map import CameraSource, PoseSource, RecordingMap, describe
+from vergence.recordings.scan import ImageTrack, JointTrack, PoseTrack, Scan
+
+START = 1_700_000_000_123_456_789
+JOINTS = "left_pan", "left_tilt", "right_pan", "right_tilt"
+MS = 10**6
+
+
+def mapped(**fields: Any) -> RecordingMap:
+    cameras = {
+        "left_wide": CameraSource(eye="left", images="/l"),
+        "right_wide": CameraSource(eye="right", images="/r"),
+    }
+    joints = {name: DatasetJoint(column=name, unit="rad") for name in JOINTS}
+    return RecordingMap(cameras=cameras, **{"joints": joints} | fields)
+
+
+def scanned(
+    images: Mapping[str, np.ndarray],
+    at_ns: np.ndarray,
+    angles: np.ndarray,
+    *,
+    delay_ns: Mapping[str, int] | None = None,
+    poses: Mapping[tuple[str, str], PoseTrack] | None = None,
+) -> Scan:
+    """Return images at times and readings, all joints the same, at others [ns] after START."""
+    tracks = {
+        name: ImageTrack(START + at, START + at, np.zeros(len(at)), (32, 24))
+        for name, at in images.items()
+    }
+    track = JointTrack(START + at_ns, angles)
+    joints = {("/joints", name): track for name in JOINTS}
+    return Scan(tracks, joints, {}, poses or {}, delay_ns=delay_ns or {})
+
+
+def moments_of(found: Scan, described: RecordingMap) -> tuple[Moments, Description]:
+    description = describe(described, {"/l": (32, 24), "/r": (32, 24)}, {})
+    return find_moments(found, described, description), description
+
+
+def checked(found: Scan, **fields: Any) -> tuple[Finding, ...]:
+    described = mapped(**fields)
+    description = describe(described, {"/l": (32, 24), "/r": (32, 24)}, {})
+    return check_stamps(found, described, description)
+
+
+@given(
+    times=st.lists(st.integers(0, 10**10), min_size=2, max_size=30, unique=True),
+    at=st.lists(st.integers(-(10**9), 11 * 10**9), min_size=1, max_size=30),
+    rate=st.floats(-2, 2),
+    seed=st.integers(0, 99),
+)
+def test_linear_motion_is_interpolated_exactly_and_never_extrapolated(times, at, rate, seed):
+    order = np.random.default_rng(seed).permutation(len(times))
+    stamps, at_ns = np.array(times)[order], np.array(at)
+    track = JointTrack(START + stamps, 0.3 + rate * stamps * 1e-9)
+    found = interpolate(track, START + at_ns, max_gap_s=100.0)
+    inside = (at_ns >= min(times)) & (at_ns <= max(times))
+    np.testing.assert_array_equal(np.isfinite(found), inside)
+    np.testing.assert_allclose(found[inside], 0.3 + rate * at_ns[inside] * 1e-9, atol=1e-9)
+
+
+def test_gaps_are_not_bridged_but_their_ends_are_known():
+    track = JointTrack(np.array([0, 100, 400, 450]) * MS, np.array([0.0, 1, 4, 4.5]))
+    found = interpolate(track, np.array([50, 100, 200, 400, 425]) * MS, max_gap_s=0.1)
+    np.testing.assert_allclose(found, [0.5, 1, np.nan, 4, 4.25])
+    assert np.isnan(interpolate(JointTrack(np.array([5]), np.ones(1)), np.array([5, 6]),
+                                max_gap_s=1)).any()  # fmt: skip
+
+
+def test_cameras_that_are_not_synchronised_share_moments_at_rest_only():
+    at = np.arange(0, 4000) * MS
+    angles = np.clip(at * 1e-9 - 1.0, 0, 1.0)  # at rest, one second of motion, at rest
+    images = {"/l": np.arange(0, 3900, 100) * MS, "/r": np.arange(40, 3900, 100) * MS}
+    moments, _ = moments_of(scanned(images, at, angles), mapped())
+    both = (moments.images["left_wide"] >= 0) & (moments.images["right_wide"] >= 0)
+    t = (moments.time_ns - START) * 1e-9
+    assert both[t < 0.9].all()
+    assert both[t > 2.2].all()
+    assert not both[(t > 1) & (t < 2)].any()
+    assert (np.diff(moments.time_ns) > 0).all()
+    for name, rows in moments.images.items():  # each image is used once
+        assert sorted(rows[rows >= 0]) == list(range(len(images["/" + name[0]])))
+    np.testing.assert_allclose(moments.eye_angles[:, 0], np.clip(t - 1, 0, 1), atol=1e-9)
+
+
+def test_moments_beyond_the_readings_are_not_known():
+    images = {name: np.arange(0, 1000, 100) * MS for name in ("/l", "/r")}
+    at = np.arange(150, 800, 10) * MS
+    moments, _ = moments_of(scanned(images, at, np.zeros(len(at))), mapped())
+    assert moments.known.tolist() == [False] * 2 + [True] * 6 + [False] * 2
+
+
+STEADY = np.arange(0, 3000, 100) * MS
+
+
+def test_sound_stamps_have_no_findings():
+    assert checked(scanned({"/l": STEADY, "/r": STEADY}, STEADY, 0.0 * STEADY)) == ()
+
+
+def test_repeated_and_backward_stamps_are_named_and_put_in_order():
+    odd = STEADY.copy()
+    odd[[5, 8, 9]] = odd[4], odd[9], odd[8]
+    found = scanned({"/l": odd, "/r": STEADY}, odd, 0.0 * STEADY)
+    findings = checked(found)
+    assert {each.code for each in findings} == {"repeated-stamps", "backward-stamps"}
+    assert {each.where for each in findings} == {"/l", *JOINTS}
+    assert "by up to 0.1 s" in "".join(each.sentence for each in findings)
+    moments, _ = moments_of(found, mapped())
+    assert (np.diff(moments.time_ns) > 0).all()
+    assert len(moments) == len(STEADY)
+
+
+@pytest.mark.parametrize(
+    ("images", "joints", "sentence"),
+    [
+        (0 * STEADY, STEADY, "stamps of images of /l stand still: 29 of 30 repeat"),
+        (STEADY, STEADY // 10**9, "stamps of readings of left_pan stand still"),
+        (STEADY, STEADY + 10**12, "The stamps of two clocks do not meet: images of /l are of"),
+    ],
+)
+def test_stamps_that_cannot_be_right_end_in_one_sentence_with_a_way_out(images, joints, sentence):
+    found = scanned({"/l": images, "/r": images}, joints, 0.0 * joints)
+    with pytest.raises(VergenceError, match=sentence) as refused:
+        checked(found)
+    assert str(refused.value).endswith('set stamps = "received" in the map.')
+
+
+def test_clocks_that_meet_but_differ_are_named():
+    delays = {"/l": 20 * MS, "/r": 25 * MS, "/joints": -3200 * MS}
+    found = scanned({"/l": STEADY, "/r": STEADY}, STEADY, 0.0 * STEADY, delay_ns=delays)
+    (finding,) = checked(found)
+    assert finding.code == "two-clocks"
+    assert checked(scanned({"/l": STEADY, "/r": STEADY}, STEADY, 0.0 * STEADY,
+                           delay_ns=delays | {"/joints": -900 * MS})) == ()  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("columns", "sentence"),
+    [
+        (("left_pan", "nosuch"), "a joint 'nosuch', of"),
+        (("left_pan", "jaw"), "write one of /a:jaw"),
+    ],
+)
+def test_joints_are_named_clearly(columns, sentence):
+    found = scanned({"/l": STEADY, "/r": STEADY}, STEADY, 0.0 * STEADY)
+    twice = {(channel, "jaw"): found.joints["/joints", "left_pan"] for channel in ("/a", "/b")}
+    found = Scan(found.images, {**found.joints, **twice}, {}, {})
+    names = dict(zip(JOINTS, (*columns, "right_pan", "right_tilt"), strict=True))
+    joints = {name: DatasetJoint(column=column, unit="rad") for name, column in names.items()}
+    with pytest.raises(VergenceError, match=sentence):
+        moments_of(found, mapped(joints=joints))
+
+
+def test_poses_of_eyes_come_from_a_tree_of_frames():
+    """The base is a brother of the eye's parent; one edge is fixed and sent once."""
+    T_head_base, T_head_mount = pose(t=[0.1, 0, 0]), pose(t=[0, 0.2, 0])
+    turn = 0.5 * STEADY * 1e-9
+    T_mount_eye = pose(Rotation.from_rotvec(np.outer(turn, [0, 0, 1])).as_matrix())
+    tracks = {
+        ("head", "base"): PoseTrack(np.array([7]), T_head_base[None]),
+        ("head", "mount"): PoseTrack(START + STEADY, np.tile(T_head_mount, (len(STEADY), 1, 1))),
+        ("mount", "eye"): PoseTrack(START + STEADY, T_mount_eye),
+    }
+    sources = {side: PoseSource(base="base", eye="eye") for side in ("left", "right")}
+    images = {name: STEADY[:-1] + 30 * MS for name in ("/l", "/r")}
+    found = scanned(images, STEADY, 0.0 * STEADY, poses=tracks)
+    moments, _ = moments_of(found, mapped(joints={}, poses=sources))
+    assert moments.T_base_eye is not None
+    angle = 0.5 * (moments.time_ns - START) * 1e-9
+    T_mount_eye = pose(Rotation.from_rotvec(np.outer(angle, [0, 0, 1])).as_matrix())
+    expected = inverse(T_head_base) @ T_head_mount @ T_mount_eye
+    np.testing.assert_allclose(moments.T_base_eye[:, 1], expected, atol=1e-9)
+
+    def read(*_):
+        sent = [(FramePose(*edge, track.T_parent_child[0]),) for edge, track in tracks.items()]
+        return (Message("/tf", k, k, lambda each=each: each) for k, each in enumerate(sent))
+
+    recording = Recording(Path("bag"), {"/tf": Channel("/tf", "poses", "", 3)}, read)
+    assert needed_frames(recording, sources) == set(tracks)
+    with pytest.raises(VergenceError, match="does not connect the frames base and ear"):
+        needed_frames(recording, {"left": PoseSource(base="base", eye="ear")})
