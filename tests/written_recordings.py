@@ -1,10 +1,13 @@
 """Small recordings of two cameras and two joints, written in the documented form of each format."""
 
+import json
 from pathlib import Path
 
 import cv2
 import numpy as np
+import pyarrow
 import pytest
+from pyarrow import parquet
 
 from vergence.errors import VergenceError
 from vergence.recordings.formats import open_recording
@@ -88,6 +91,72 @@ def write_tables(folder: Path, time: str = "time_ns", unit_ns: int = 1) -> None:
     write_csv(folder / "right" / "data.csv", "#timestamp [ns],filename", rows)
     for k, image in enumerate(IMAGES["right"]):
         write_image(folder / "right" / "data" / f"{k}.png", image)
+
+
+def write_lerobot(folder: Path, version: str, *, videos: bool, episodes: int = 3) -> None:
+    """Write episodes of 3, 4, ... rows at 50 Hz, whose images are those of IMAGES in a circle.
+
+    Readings are the episode and the row. Images are in videos, or in the tables.
+    """
+    info = {
+        "codebase_version": version, "robot_type": "head", "total_episodes": episodes, "fps": 50,
+        "chunks_size": 2, "features": {
+            "action": {"dtype": "float32", "shape": [2], "names": ["pan.pos", "tilt.pos"]},
+            "observation.state": {"dtype": "float32", "shape": [2],
+                                  "names": {"motors": ["pan.pos", "tilt.pos"]}},
+            "timestamp": {"dtype": "float32", "shape": [1], "names": None},
+            **{f"observation.images.{eye}": {"dtype": "video" if videos else "image",
+                                             "shape": [24, 32, 3]} for eye in IMAGES},
+        },
+    }  # fmt: skip
+    file = "chunk-{episode_chunk:03d}/{video_key}/episode_{episode_index:06d}"
+    info |= {"video_path": f"videos/{file}.mp4"}
+    info |= {"data_path": f"data/{file}.parquet".replace("/{video_key}", "")}
+    if version == "v3.0":
+        file = "chunk-{chunk_index:03d}/file-{file_index:03d}"
+        info |= {"data_path": f"data/{file}.parquet"}
+        info |= {"video_path": f"videos/{{video_key}}/{file}.mp4"}
+    (folder / "meta").mkdir(parents=True)
+    (folder / "meta/info.json").write_text(json.dumps(info))
+    columns: dict[str, list] = {}
+    metas, frames, first = [], {eye: [] for eye in IMAGES}, 0
+    for episode in range(episodes):
+        rows = range(3 + episode)
+        at = {"chunk_index": 0, "file_index": 0} if version == "v3.0" else {
+            "episode_chunk": episode // 2, "episode_index": episode}  # fmt: skip
+        content = {
+            "observation.state": [[float(episode), float(row)] for row in rows],
+            "timestamp": pyarrow.array([row / 50 for row in rows], pyarrow.float32()).to_pylist(),
+            "episode_index": [episode for _ in rows],
+        }
+        meta = {"episode_index": episode, "length": len(rows), "stats/timestamp/max": [1.0]}
+        meta |= {f"data/{name}": index for name, index in at.items()}
+        for eye, images in IMAGES.items():
+            key, shown = f"observation.images.{eye}", images[[(first + row) % 4 for row in rows]]
+            if videos:
+                meta |= {f"videos/{key}/{name}": index for name, index in at.items()}
+                meta[f"videos/{key}/from_timestamp"] = first / 50
+                frames[eye] += list(shown)
+                path = folder / info["video_path"].format(video_key=key, **at)
+                if version != "v3.0" or episode == episodes - 1:
+                    write_video(path, np.array(frames[eye]), codec="libx264rgb")
+                    frames[eye].clear()
+            else:
+                files = [cv2.imencode(".png", image[..., ::-1])[1].tobytes() for image in shown]
+                content[key] = [{"bytes": each, "path": f"{k}.png"} for k, each in enumerate(files)]
+        for name, cells in content.items():
+            columns.setdefault(name, []).extend(cells)
+        metas.append(meta)
+        first += len(rows)
+        path = folder / info["data_path"].format(**at)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if version != "v3.0" or episode == episodes - 1:
+            parquet.write_table(pyarrow.table(columns), path, row_group_size=5)
+            columns = {}
+    if version == "v3.0":
+        path = folder / "meta/episodes/chunk-000/file-000.parquet"
+        path.parent.mkdir(parents=True)
+        parquet.write_table(pyarrow.Table.from_pylist(metas), path)
 
 
 def contents(path: Path, *names: str) -> list[tuple[Message, Content]]:

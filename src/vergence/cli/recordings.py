@@ -58,34 +58,37 @@ def _listed(source: Path, place: Path) -> Report:
     """List what is in a recording, and write a first map unless there is one."""
     from vergence.recordings.first_map import first_map
     from vergence.recordings.formats import open_recording
-    from vergence.recordings.listing import list_recording
     from vergence.recordings.recording_map import UNKNOWN, load_map
+    from vergence.recordings.scan import scan
 
     with progress_bars() as progress, open_recording(source) as recording:
-        listing = list_recording(recording, progress=progress)
+        scanned = scan(recording, frames=(), progress=progress)
+        text = "" if place.exists() else first_map(recording, scanned)
+        channels = recording.channels
+    stamps = {channel: track.stamp_ns for (channel, _), track in scanned.joints.items()}
+    stamps |= {channel: track.stamp_ns for channel, track in scanned.images.items()}
     rows = []
-    for name, each in listing.channels.items():
-        size = "x".join(map(str, each.images[0].shape[1::-1])) if each.images else ""
-        rate = f"{1 / each.period_s:.3g}" if each.period_s else ""
-        gap = f"{each.largest_gap_s:.3g}" if each.period_s else ""
-        count = each.channel.count
-        rows.append((name, each.channel.type, count, rate, gap, each.error or size))
+    for name, each in channels.items():
+        steps_s = sorted((stamps[name][1:] - stamps[name][:-1]) * 1e-9) if name in stamps else ()
+        rate = f"{1 / step:.3g}" if steps_s and (step := steps_s[len(steps_s) // 2]) > 0 else ""
+        size = "x".join(map(str, scanned.images[name].size)) if name in scanned.images else ""
+        gap = f"{steps_s[-1]:.3g}" if steps_s else ""
+        rows.append((name, each.type, each.count, rate, gap, scanned.errors.get(name, size)))
     heading = "channel | type | messages | per second | largest gap [s] | size"
     parts = [markdown_table(heading, rows)]
     joints = [
-        (name, channel, f"{low:.4g}", f"{high:.4g}")
-        for (channel, name), (low, high) in list(listing.joints.items())[:_JOINTS]
+        (name, channel, f"{track.values.min():.4g}", f"{track.values.max():.4g}")
+        for (channel, name), track in [*scanned.joints.items()][:_JOINTS]
     ]
     if joints:
         parts.append(markdown_table("joint | channel | lowest | highest", joints))
     command = invocation("vergence", "import-recording", source, "--out", "DATASET")
-    if place.exists():
+    if not text:
         load_map(place)
         return Report("Recording", parts, None, files=f"{place} is complete. Next: {command}")
-    text = first_map(listing)
     write_whole(place, text)
-    count = text.count(f'"{UNKNOWN}"') - 1
-    todo = f"fill in {counted(count, 'value')} that is {UNKNOWN}" if count else "check it"
+    missing = sum(f'"{UNKNOWN}"' in line for line in text.splitlines()[1:])
+    todo = f"correct its guesses, fill in {counted(missing, 'value')}" if missing else "check it"
     return Report("Recording", parts, None, files=f"Wrote {place}: {todo}. Then: {command}")
 
 

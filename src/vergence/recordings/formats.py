@@ -7,10 +7,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from vergence.errors import VergenceError
-from vergence.recordings import ros, tables, yarp
+from vergence.recordings import lerobot, ros, tables, yarp
 from vergence.recordings.recording import Recording
 
-FORMATS = (ros, yarp, tables)
+FORMATS = (ros, yarp, lerobot, tables)
 """Modules with `recognise` and `open_recording`, asked in this order."""
 
 
@@ -35,5 +35,5 @@ def open_recording(path: Path | str) -> Iterator[Recording]:
         raise VergenceError(f"There is no recording {path}.")
     raise VergenceError(
         f"{path} is not a recording that can be read: a ROS 1 .bag, a ROS 2 folder, .db3 or .mcap, "
-        "a folder of yarpdatadumper, or a csv with a folder of images."
+        "a folder of yarpdatadumper, a dataset of LeRobot, or a csv with a folder of images."
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from itertools import islice
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
@@ -16,32 +17,39 @@ from vergence.recordings.recording import Recording
 from vergence.recordings.recording_map import PoseSource
 from vergence.recordings.scan import PoseTrack
 
+MESSAGES = 1000
+"""Messages of a channel by which all its frames are known; robots send each at 10 Hz or more."""
 Edge = tuple[str, str]
 """Parent and child."""
 
 
 def needed_frames(recording: Recording, sources: Mapping[Side, PoseSource]) -> set[Edge]:
-    """Find the poses between the frames of sources, reading no more than it takes.
+    """Find the poses between the frames of sources.
 
     VergenceError if the recording does not connect them.
     """
-    edges: dict[str, str] = {}  # parent by child
+    parents, found = pose_frames(recording), set()
+    for source in sources.values():
+        path = _path(parents, source.base, source.eye)
+        if path is None:
+            raise VergenceError(
+                f"{recording.path} does not connect the frames {source.base} and {source.eye}, "
+                f"which the map names; it has {', '.join(sorted({*parents, *parents.values()}))}."
+            )
+        found |= {edge for edge, _ in path}
+    return found
+
+
+def pose_frames(recording: Recording) -> dict[str, str]:
+    """List the parents of frames by their children, as far as the first messages have them."""
     channels = [name for name, each in recording.channels.items() if each.kind == "poses"]
-    for message in recording.read(channels, None, None):
-        content = message.decode()
-        assert isinstance(content, tuple)
-        new = {each.child: each.parent for each in content}
-        if new.items() <= edges.items():
-            continue
-        edges |= new
-        paths = [_path(edges, source.base, source.eye) for source in sources.values()]
-        if None not in paths:
-            return {edge for path in paths if path for edge, _ in path}
-    missing = [each for each in sources.values() if _path(edges, each.base, each.eye) is None]
-    raise VergenceError(
-        f"{recording.path} does not connect the frames {missing[0].base} and {missing[0].eye}, "
-        f"which the map names; it has {', '.join(sorted({*edges, *edges.values()})) or 'none'}."
-    )
+    parents: dict[str, str] = {}
+    for channel in channels:
+        for message in islice(recording.read([channel], None, None), MESSAGES):
+            content = message.decode()
+            assert isinstance(content, tuple)
+            parents |= {each.child: each.parent for each in content}
+    return parents
 
 
 def _path(edges: Mapping[str, str], base: str, eye: str) -> list[tuple[Edge, bool]] | None:

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from vergence.arrays import Array
+from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera
 from vergence.progress import Progress, silent
 from vergence.recordings.recording import FramePose, JointSample, Recording
@@ -78,6 +79,8 @@ class Scan:
     """By parent and child."""
     delay_ns: Mapping[str, int] = field(default_factory=dict)
     """By channel: the shortest time from a message's stamp to its receipt [ns]."""
+    errors: Mapping[str, str] = field(default_factory=dict)
+    """By channel why its messages cannot be used."""
 
 
 def scan(
@@ -88,7 +91,7 @@ def scan(
     frames: Collection[tuple[str, str]] | None = None,
     progress: Progress = silent,
 ) -> Scan:
-    """Read channels of a recording, None: all that can be used, in one pass.
+    """Read channels of a recording in one pass; None: all, those in `errors` without content.
 
     Only joints in `columns`, as `name` or `channel:name`, and poses of `frames`, as parent and
     child, are kept; None: all. VergenceError if the recording is damaged.
@@ -106,9 +109,16 @@ def scan(
     lenses: dict[str, Camera] = {}
     poses: dict[tuple[str, str], list[tuple[int, Array]]] = {}
     delays: dict[str, int] = {}
+    errors: dict[str, str] = {}
     progress("reading the recording", 0, total)
     for done, message in enumerate(recording.read(list(wanted), None, None), 1):
-        content, stamp = message.decode(), message.stamp_ns
+        try:
+            content, stamp = message.decode(), message.stamp_ns
+        except VergenceError as error:
+            if channels is not None:
+                raise
+            errors.setdefault(message.channel, str(error))
+            continue
         delay = message.received_ns - stamp
         delays[message.channel] = min(delay, delays.get(message.channel, delay))
         if isinstance(content, JointSample):
@@ -153,6 +163,7 @@ def scan(
             for name, rows in poses.items()
         },
         delay_ns=delays,
+        errors=errors,
     )
 
 
