@@ -67,7 +67,7 @@ def rewritten(folder: Path, change) -> Path:
 def claiming(folder: Path) -> Path:
     """Write many more rows than are read, in few bytes."""
     file = next(folder.glob("data/*/*.parquet"))
-    table = pyarrow.table({"episode_index": np.zeros(6_000_000, np.int8)})
+    table = pyarrow.table({"episode_index": np.zeros(31_000_000, np.int8)})
     parquet.write_table(table, file, compression="zstd")
     return folder
 
@@ -110,7 +110,7 @@ def damaged_images(table):
         (lambda f: rewritten(f, lambda t: t.drop_columns(["timestamp"])), "no column timestamp"),
         (lambda f: rewritten(f, shorter_lists), "lists of different lengths"),
         (lambda f: rewritten(f, damaged_images), "is not a readable image"),
-        (claiming, "6,000,000 rows"),
+        (claiming, "31,000,000 numbers"),
         (truncated, "cannot be read as a dataset"),
         (linked, "leads out of"),
     ],

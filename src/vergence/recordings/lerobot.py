@@ -7,10 +7,10 @@ A folder has many episodes. They are read one after another, GAP_S apart, or one
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -20,7 +20,7 @@ from vergence.arrays import Array
 from vergence.data.images import UNREADABLE, decode_image
 from vergence.errors import VergenceError, counted, explain
 from vergence.files import file_inside, read_json
-from vergence.recordings.recording import Channel, JointSample, Recording
+from vergence.recordings.recording import Channel, Content, JointSample, Kind, Recording
 from vergence.recordings.series import Replay, Series, recording_of, unused
 from vergence.recordings.stamps import nanoseconds
 from vergence.recordings.video import Video, open_video
@@ -28,10 +28,18 @@ from vergence.recordings.video import Video, open_video
 T = TypeVar("T")
 GAP_S = 10.0
 """Time [s] between episodes; readings are not interpolated over it."""
-MAX_ROWS = 5_000_000
-"""Most rows of a file, two days at 30 Hz; as little as 1 kB of parquet may state more."""
+MAX_VALUES = 30_000_000
+"""Most numbers that are read; as floats they have 240 MB. A parquet of 1 kB may state more."""
+MAX_EPISODES = 100_000
+"""Most episodes of a dataset; at half a minute each they are a month."""
+MAX_GROUP_BYTES = 2**29
+"""Largest group of rows [bytes], which is in memory at once; usual are 100 to 1000 images."""
 BATCH = 16
 """Images of a parquet file that are in memory at once."""
+_DAMAGED = OSError, ValueError, TypeError, LookupError, ArithmeticError
+"""What contents of other types than expected raise."""
+_FIELD = re.compile(r"\{(\w+)(?::0?(\d)d)?\}")
+"""A field in a template of file names; `str.format` could be asked for gigabytes of digits."""
 
 
 @dataclass(frozen=True)
@@ -48,23 +56,24 @@ class _Info:
     total_episodes: int
     features: dict[str, _Feature]
     data_path: str
-    video_path: str | None = None
+    video_path: str = ""
     chunks_size: int = 1000
 
 
 @dataclass(frozen=True, eq=False)
-class _Episode:
-    """An episode of N rows."""
+class _Rows:
+    """N rows of a dataset without their images."""
 
-    data: Path
-    rows: np.ndarray
-    """(N,) of int, in the file."""
-    time_s: Array
-    """(N,) since its first row."""
-    values: dict[str, Array]
+    columns: dict[str, Array]
     """By feature (N, C)."""
-    videos: dict[str, tuple[Path, float]]
-    """By feature the file, and the time [s] in it at which the episode begins."""
+    files: list[Path]
+    place: np.ndarray
+    """(N, 2) of int: which file, and the row in it."""
+    episodes: dict[int, dict[str, Any]]
+    """By index, what is known of an episode."""
+
+    def __getitem__(self, name: str) -> Array:
+        return self.columns[name][:, 0]
 
 
 def _split(path: Path) -> tuple[Path, int | None]:
@@ -85,123 +94,127 @@ def open_recording(path: Path) -> Iterator[Recording]:
 
     root, wanted = _split(path)
     info = read_json(_inside(root, "meta/info.json"), _Info, "a description of a LeRobot dataset")
-    with ExitStack() as stack:
-        try:
-            episodes = list(_episodes(root, info, wanted))
-        except (pyarrow.ArrowException, OSError, LookupError, ValueError, TypeError) as error:
-            raise VergenceError(
-                f"{root} cannot be read as a dataset of LeRobot: {explain(error)}."
-            ) from error
+    try:
+        episodes = {
+            int(row["episode_index"]): row
+            for row in _list(root, info)
+            if wanted in (None, row["episode_index"])
+        }
         if not episodes:
             count = counted(info.total_episodes, "episode")
             raise VergenceError(f"There is no episode {path}; the dataset has {count}.")
-        yield recording_of(path, _series(info, episodes, stack), "a dataset of LeRobot")
+        rows = _read_rows(root, info, episodes)
+    except (pyarrow.ArrowException, *_DAMAGED) as error:
+        what = f"{root} cannot be read as a dataset of LeRobot"
+        raise VergenceError(f"{what}: {explain(error)}.") from error
+    with ExitStack() as stack:
+        yield recording_of(path, _series(root, info, rows, stack), "a dataset of LeRobot")
 
 
 def _inside(root: Path, name: str) -> Path:
     return file_inside(root, name, str(root / name)[:300], of="dataset")
 
 
-def _episodes(root: Path, info: _Info, wanted: int | None) -> Iterator[_Episode]:
-    """Read an episode, None: all, except its images."""
-    videos = [key for key, feature in info.features.items() if feature.dtype == "video"]
-    joints = [key for key, feature in info.features.items() if _is_joints(key, feature)]
-    read = lru_cache(1)(partial(_table, columns=("episode_index", "timestamp", *joints)))
+def _filled(template: str, row: Mapping[str, Any], part: str, key: str = "") -> str:
+    """Fill in a template of file names with what is known of a part of an episode."""
+    values = {name.removeprefix(f"{part}/"): value for name, value in row.items()}
+    values["video_key"] = key
+    return _FIELD.sub(lambda field: str(values[field[1]]).zfill(int(field[2] or 0)), template)
+
+
+def _list(root: Path, info: _Info) -> Iterator[dict[str, Any]]:
+    """Yield what is known of each episode; before version 3 this follows from its index."""
     metas = sorted(path.relative_to(root) for path in root.glob("meta/episodes/*/*.parquet"))
-    listed = (row for meta in metas for row in _table(_inside(root, str(meta))).to_pylist())
-    if not metas:  # before version 3
-        indices = range(min(info.total_episodes, MAX_ROWS))
-        listed = ({"episode_index": k, "episode_chunk": k // info.chunks_size} for k in indices)
-
-    def file(template: str | None, part: str, key: str = "") -> Path:
-        values = {name.removeprefix(f"{part}/"): value for name, value in row.items()}
-        values["video_key"] = key
-        # `str.format` could be asked for gigabytes of digits.
-        field = r"\{(\w+)(?::0?(\d)d)?\}"
-        filled = re.sub(
-            field, lambda found: str(values[found[1]]).zfill(int(found[2] or 0)), template or ""
-        )
-        return _inside(root, filled)
-
-    for row in listed:
-        if wanted in (None, row["episode_index"]):
-            data = file(info.data_path, "data")
-            table = read(data)
-            index = _matrix(table, "episode_index", data)[:, 0]
-            rows = np.flatnonzero(index == row["episode_index"])
-            values = {key: _matrix(table, key, data)[rows] for key in ("timestamp", *joints)}
-            of_video = {
-                key: (
-                    file(info.video_path, f"videos/{key}", key),
-                    float(row.get(f"videos/{key}/from_timestamp", 0.0)),
-                )
-                for key in videos
-            }
-            yield _Episode(data, rows, values.pop("timestamp")[:, 0], values, of_video)
+    for meta in metas:
+        known = "episode_index", "data/", "videos/"
+        yield from _table(_inside(root, str(meta)), known, 20 * MAX_EPISODES).to_pylist()
+    for k in () if metas else range(min(info.total_episodes, MAX_EPISODES)):
+        yield {"episode_index": k, "episode_chunk": k // info.chunks_size}
 
 
-def _is_joints(key: str, feature: _Feature) -> bool:
-    return key.startswith("observation.") and feature.dtype.startswith("float")
+def _read_rows(root: Path, info: _Info, episodes: dict[int, dict[str, Any]]) -> _Rows:
+    """Read all of some episodes but their images."""
+    joints = (
+        key
+        for key, feature in info.features.items()
+        if key.startswith("observation") and feature.dtype.startswith("float")
+    )
+    names = "episode_index", "timestamp", *joints
+    parts: dict[str, list[Array]] = {name: [] for name in names}
+    within = dict.fromkeys(_filled(info.data_path, row, "data") for row in episodes.values())
+    files, place, left = [_inside(root, name) for name in within], [], MAX_VALUES
+    for number, file in enumerate(files):
+        table = _table(file, names, left)
+        if missing := sorted(set(names) - set(table.column_names)):
+            raise VergenceError(f"{file} has no column {', '.join(missing)}.")
+        of_row = _matrix(table["episode_index"], file)[:, 0]
+        chosen = np.flatnonzero(np.isin(of_row, list(episodes)))
+        for name, part in parts.items():
+            part.append(_matrix(table[name], file)[chosen])
+            left -= part[-1].size
+        place.append(np.stack([np.full(len(chosen), number), chosen], axis=-1))
+    columns = {name: np.concatenate(part) for name, part in parts.items()}
+    return _Rows(columns, files, np.concatenate(place), episodes)
 
 
-def _table(file: Path, columns: tuple[str, ...] = ()) -> Any:
-    """Read columns of a parquet file, by default all but statistics."""
+def _table(file: Path, prefixes: tuple[str, ...], most_values: int) -> Any:
+    """Read columns of a parquet file by the beginnings of their names."""
     from pyarrow import parquet
 
     with parquet.ParquetFile(file) as opened:
-        count, names = opened.metadata.num_rows, opened.schema_arrow.names
-        if count > MAX_ROWS:
-            raise VergenceError(f"{file} has {count:,} rows; at most {MAX_ROWS:,} are read.")
-        if missing := sorted(set(columns) - set(names)):
-            raise VergenceError(f"{file} has no column {', '.join(missing)}.")
-        chosen = columns or [name for name in names if not name.startswith("stats/")]
-        return opened.read(columns=list(chosen), use_threads=False)
+        about = opened.metadata
+        groups = [about.row_group(k) for k in range(about.num_row_groups)]
+        columns = [group.column(k) for group in groups for k in range(about.num_columns)]
+        count = sum(c.num_values for c in columns if c.path_in_schema.startswith(prefixes))
+        if count > most_values:
+            raise VergenceError(
+                f"{file} has {count:,} numbers; at most {MAX_VALUES:,} are read: name an episode, "
+                "such as FOLDER/episode_0."
+            )
+        names = [name for name in opened.schema_arrow.names if name.startswith(prefixes)]
+        return opened.read(columns=names, use_threads=False)
 
 
-def _matrix(table: Any, name: str, file: Path) -> Array:
+def _matrix(column: Any, file: Path) -> Array:
     """Convert a column of numbers, or of lists of equal lengths, to (N, C)."""
-    flat = table[name].combine_chunks()
+    flat = column.combine_chunks()
     while flat.type.num_fields:
         flat = flat.flatten()
     values = flat.to_numpy(zero_copy_only=False).astype(float)
-    if flat.null_count or len(values) % max(1, len(table)):
-        raise VergenceError(f"{file}: column {name} has empty cells or lists of different lengths.")
-    return values.reshape(len(table), -1 if len(table) else 0)
+    if flat.null_count or len(values) % max(1, len(column)):
+        raise VergenceError(f"{file} has empty cells, or lists of different lengths.")
+    return values.reshape(len(column), -1 if len(column) else 1)
 
 
-def _series(info: _Info, episodes: list[_Episode], stack: ExitStack) -> Iterator[Series]:
-    """Chain the episodes of each feature."""
-    begins = [0.0]
-    for each in episodes:
-        begins.append(begins[-1] + each.time_s.max(initial=0.0) + GAP_S)
-    time_s = [begin + each.time_s for begin, each in zip(begins, episodes, strict=False)]
-    stamps = nanoseconds(np.concatenate(time_s), "s", "timestamp")
-    first = np.cumsum([0, *(len(each.rows) for each in episodes)])
-
-    def locate(k: int) -> tuple[_Episode, int]:
-        which = int(np.searchsorted(first, k, side="right")) - 1
-        return episodes[which], k - int(first[which])
-
+def _series(root: Path, info: _Info, rows: _Rows, stack: ExitStack) -> Iterator[Series]:
+    """Make a channel of each feature, with the episodes one after another."""
+    time_s, episode = rows["timestamp"], rows["episode_index"].astype(int)
+    new = np.diff(episode, prepend=episode[:1]) != 0
+    begin_s = np.cumsum(np.where(new, np.roll(time_s, 1) + GAP_S, 0.0))
+    stamps = nanoseconds(time_s + begin_s, "s", f"{root}: timestamp")
     for key, feature in info.features.items():
-        if _is_joints(key, feature):
-            values = np.concatenate([each.values[key] for each in episodes])
-            names = _names(key, feature, values.shape[1])
-            kind, content = "joints", lambda k, v=values, n=names: JointSample(n, v[k])
+        content: Callable[[int], Content]
+        kind: Kind = "images"
+        if key in rows.columns and key.startswith("observation"):
+            kind = "joints"
+            content = partial(_joints, rows.columns[key], _names(key, feature, rows.columns[key]))
         elif feature.dtype == "video":
-            video = _latest(open_video, stack)
-            kind, content = "images", partial(_frame, locate, key, video, 0.5 / info.fps)
+            content = partial(_frame, root, info, rows, key, _latest(open_video, stack))
         elif feature.dtype == "image":
-            images = _latest(partial(_stored, key), stack)
-            kind, content = "images", partial(_stored_image, locate, images)
+            content = partial(_stored_image, rows, _latest(partial(_stored, key), stack))
         else:
             yield unused(key, feature.dtype, len(stamps))
             continue
         yield Series(Channel(key, kind, feature.dtype, len(stamps)), stamps, stamps, content)
 
 
-def _names(key: str, feature: _Feature, count: int) -> tuple[str, ...]:
+def _joints(values: Array, names: tuple[str, ...], k: int) -> JointSample:
+    return JointSample(names, values[k])
+
+
+def _names(key: str, feature: _Feature, values: Array) -> tuple[str, ...]:
     """List the joints of a feature: by their names if there are as many, or by their index."""
-    names = feature.names
+    names, count = feature.names, values.shape[1]
     if isinstance(names, dict):  # such as {"motors": [...]}
         names = [name for part in names.values() if isinstance(part, list) for name in part]
     names = tuple(map(str, names or ()))
@@ -225,17 +238,14 @@ def _latest(
 
 
 def _frame(
-    locate: Callable[[int], tuple[_Episode, int]],
-    key: str,
-    opened: Callable[[Path], Video],
-    tolerance_s: float,
-    k: int,
+    root: Path, info: _Info, rows: _Rows, key: str, opened: Callable[[Path], Video], k: int
 ) -> np.ndarray:
-    episode, row = locate(k)
-    file, begin_s = episode.videos[key]
-    video, at_s = opened(file), begin_s + episode.time_s[row]
+    episode, part = rows.episodes[int(rows["episode_index"][k])], f"videos/{key}"
+    file = _inside(root, _filled(info.video_path, episode, part, key))
+    at_s = float(episode.get(f"{part}/from_timestamp", 0.0)) + rows["timestamp"][k]
+    video = opened(file)
     index = int(np.argmin(np.abs(video.time_s - at_s)))
-    if not abs(video.time_s[index] - at_s) <= tolerance_s:
+    if not abs(video.time_s[index] - at_s) <= 0.5 / info.fps:
         raise VergenceError(
             f"{file} has no frame at {at_s:.3f} s; it ends at {video.time_s[-1]:.3f} s."
         )
@@ -247,9 +257,12 @@ def _stored(key: str, file: Path) -> Iterator[Replay[Any]]:
     """Open the images in a column of a parquet file."""
     from pyarrow import parquet
 
-    with parquet.ParquetFile(file) as opened:
+    with parquet.ParquetFile(file, buffer_size=2**20, pre_buffer=False) as opened:
         groups = range(opened.num_row_groups)
-        begins = np.cumsum([0, *(opened.metadata.row_group(k).num_rows for k in groups)])[:-1]
+        about = [opened.metadata.row_group(k) for k in groups]
+        if max((group.total_byte_size for group in about), default=0) > MAX_GROUP_BYTES:
+            raise VergenceError(f"{file} has more than {MAX_GROUP_BYTES:,} bytes in a row group.")
+        begins = np.cumsum([0, *(group.num_rows for group in about)])[:-1]
 
         def read_from(begin: int) -> Iterator[tuple[int, Any]]:
             rest = list(groups)[int(np.searchsorted(begins, begin)) :]
@@ -260,15 +273,13 @@ def _stored(key: str, file: Path) -> Iterator[Replay[Any]]:
         yield Replay(begins, read_from)
 
 
-def _stored_image(
-    locate: Callable[[int], tuple[_Episode, int]], opened: Callable[[Path], Replay[Any]], k: int
-) -> np.ndarray:
+def _stored_image(rows: _Rows, opened: Callable[[Path], Replay[Any]], k: int) -> np.ndarray:
     import pyarrow
 
-    episode, row = locate(k)
-    where = f"{episode.data}: the image of row {episode.rows[row]}"
+    file, row = rows.files[rows.place[k, 0]], int(rows.place[k, 1])
+    where = f"{file}: the image of row {row}"
     try:
-        cell = opened(episode.data)(int(episode.rows[row]))
+        cell = opened(file)(row)
     except (pyarrow.ArrowException, OSError, ValueError) as error:
         raise VergenceError(f"{where} cannot be read: {explain(error)}.") from error
     content = cell.get("bytes") if isinstance(cell, dict) else cell
