@@ -38,6 +38,7 @@ CONTENTS = {
         *(
             "ten_line_programs",
             "calibrate",
+            "recordings",
             "locate",
             "other_joints",
             "gaze",

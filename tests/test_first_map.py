@@ -78,7 +78,7 @@ def guessed(found: Recorded) -> RecordingMap:
         (("/l_camera/rgb", "/r_camera/rgb"), "lpan ltilt rpan rtilt"),
         (("/cam0/image_raw", "/cam1/image_raw"), "eye.left.yaw eye.left.pitch eye.right.yaw "
          "eye.right.pitch"),
-        (("leftcam", "rightcam"), "l_eye_pan eyes_tilt r_eye_pan eyes_tilt"),
+        (("icub/cam/left", "icub/cam/right"), "l_eye_pan eyes_tilt r_eye_pan eyes_tilt"),
         (STEREO, "head_pan_joint head_tilt_joint head_pan_joint head_tilt_joint"),
     ],
 )  # fmt: skip

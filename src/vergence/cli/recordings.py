@@ -31,8 +31,9 @@ def import_recording(
     """Make a dataset of a robot's recording, or list what is in it.
 
     Args:
-        source: Recording: a ROS 1 .bag, a ROS 2 folder, .db3 or .mcap, or a folder of
-            yarpdatadumper.
+        source: Recording: a ROS 1 .bag; a ROS 2 folder, .db3 or .mcap; a folder of yarpdatadumper;
+            a dataset of LeRobot, or one of its episodes as FOLDER/episode_3; a csv, or a folder
+            with csv of joints and images or videos.
         map: TOML file that names cameras, joints and board of the recording; left out: map.toml in
             the folder that holds the recording. Without --out a first one is written there.
         out: Folder of the dataset to write; left out: the contents of the recording are listed.
@@ -94,7 +95,7 @@ def _listed(source: Path, place: Path) -> Report:
 
 @contextmanager
 def dataset_of(path: Path, progress: Progress) -> Iterator[Dataset]:
-    """Load a dataset, or import a recording, by the map beside it, into a temporary one."""
+    """Load a dataset, or import a recording by its map into a temporary one."""
     from vergence.recordings.formats import is_recording
     from vergence.recordings.import_recording import import_recording as import_mapped
     from vergence.recordings.recording_map import load_map
@@ -136,8 +137,6 @@ def export_poses(
     from vergence.recordings.pose_files import WRITERS
     from vergence.recordings.recording_map import load_map
 
-    if not recording.exists():
-        raise VergenceError(f"There is no recording {recording}.")
     is_dataset = (recording / DESCRIPTION).is_file()
     map = map or recording.parent / MAP
     if format == "tf":

@@ -54,7 +54,7 @@ class _Camera:
 
 
 def first_map(recording: Recording, scanned: Scan) -> str:
-    """Guess a map of a recording, all of which was scanned, as the text of a TOML file."""
+    """Guess the map of a scanned recording, as the text of a TOML file."""
     cameras, joints = _cameras(scanned), _joints(scanned)
     eyes = [eye for eye in EYES if any(each.eye == eye for each in cameras)]
     lines = [
@@ -100,8 +100,9 @@ def _cameras(scanned: Scan) -> list[_Camera]:
 
 def _camera_of(channel: str) -> str:
     """Strip the last part of a topic, such as image_raw, and how it is compressed."""
-    parts = channel.removesuffix("/compressed").split("/")
-    return "/".join(parts[:-1]) if len(parts) > 2 else channel
+    camera, _, last = channel.removesuffix("/compressed").rpartition("/")
+    words = read_name(last)
+    return channel if not camera or words.side or words.eye or words.neck else camera
 
 
 def _camera_lines(cameras: Sequence[_Camera]) -> Iterator[str]:
@@ -110,7 +111,7 @@ def _camera_lines(cameras: Sequence[_Camera]) -> Iterator[str]:
         yield f'eye = "{each.eye}"  # {each.reason}; left and right as the robot\'s own'
         yield f"images = {_text(each.images)}"
         if each.lens:
-            yield f"lens = {_text(each.lens)}  # sure: beside the images"
+            yield f"lens = {_text(each.lens)}  # sure: of the same name as the images"
 
 
 def _some_images(
