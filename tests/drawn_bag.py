@@ -23,6 +23,28 @@ IMAGE_NS, JOINT_NS = 100_000_000, 10_300_000
 """Periods of images and of readings [ns]."""
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 TOPICS = {"left_wide": "/stereo/left/image_raw", "right_wide": "/stereo/right/image_raw"}
+MAP = """
+[cameras.left_wide]
+eye = "left"
+images = "/stereo/left/image_raw"
+
+[cameras.right_wide]
+eye = "right"
+images = "/stereo/right/image_raw"
+
+[board]
+kind = "chessboard"
+columns = 7
+rows = 6
+square_m = 0.03
+
+[joints]
+left_pan = { column = "l_eye_pan", unit = "deg" }
+left_tilt = { column = "l_eye_tilt", unit = "deg" }
+right_pan = { column = "/pans/joint_states:r_eye_pan", unit = "deg", sign = -1 }
+right_tilt = { column = "r_eye_tilt", unit = "deg" }
+"""
+"""The map of such a bag."""
 
 
 def two_eyes() -> HeadCalibration:

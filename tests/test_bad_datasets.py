@@ -138,8 +138,8 @@ def test_a_missing_column_is_named(folder, column):
         (b"", "the column 'time_s' is missing; found "),
         (b"time_s,time_s\n1,2\n", "the column 'time_s' is repeated"),
         (b"time_s;joint_time_s\n1;2\n", "named in the first line and separated by commas"),
-        (b"time_s,\xff\n", "is not a CSV file of frames"),
-        (b'time_s\n"1', "is not a CSV file of frames"),
+        (b"time_s,\xff\n", "is not a CSV file"),
+        (b'time_s\n"1', "is not a CSV file"),
         (b"time_s,joint_time_s\n1\n", "line 2: found 1 field for 2 columns"),
     ],
 )

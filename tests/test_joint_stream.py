@@ -5,14 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from drawn_bag import JOINT_NS, MAP, START_NS, messages, two_eyes, usual, write_bag
 from simulated_head import random_head
 from simulated_recording import Noise, moving_recording, still_recording
 from vergence.arrays import Array
 from vergence.calibration.bundle_adjustment import bundle_adjust
 from vergence.calibration.initial import calibrate_sequentially
+from vergence.data.reader import load_dataset
 from vergence.data.timing import JointStream, Timing, moved_readings
 from vergence.geometry.parameters import boxminus
+from vergence.recordings.import_recording import import_recording
 from vergence.recordings.interpolation import interpolate
+from vergence.recordings.recording_map import load_map
 from vergence.recordings.scan import JointTrack
 
 OFFSET_S = 0.045
@@ -61,6 +65,23 @@ def test_a_latency_of_45_ms_is_found_among_readings_at_97_hz_with_gaps(
     row = found.parameters.index("time_offset_s")
     assert abs(error) < 0.5e-3
     assert abs(error) < 4 * np.sqrt(found.covariance[row, row])
+
+
+def test_a_recording_is_imported_with_the_readings_around_its_motions(tmp_path):
+    session = replace(usual(1, 3), move_ns=10**9)
+    write_bag(tmp_path / "bag", messages(session, two_eyes()))
+    spans = "rest = [[1.5, 2.0], [3.0, 3.5]]\nmoving = [[2.1, 2.9]]\nplacements = [[1.5, 3.5]]\n"
+    (tmp_path / "map.toml").write_text(f"{MAP}\n[frames]\n{spans}")
+    import_recording(tmp_path / "bag", load_map(tmp_path / "map.toml"), tmp_path / "set")
+    dataset = load_dataset(tmp_path / "set")
+    assert dataset.stream is not None
+    # Of floats of seconds since 1970 the last digit is 0.2 us.
+    at_ns = (dataset.stream.time_s * 1e9).astype(np.int64) - START_NS
+    expected = [session.angles_at(max(0, t)) for t in at_ns.tolist()]
+    np.testing.assert_allclose(dataset.stream.readings, expected, atol=1e-6)
+    near = np.abs(dataset.stream.time_s[:, None] - dataset.time_s[dataset.moving]).min(axis=0)
+    assert len(near)
+    assert near.max() < JOINT_NS * 1e-9
 
 
 def test_readings_at_5_hz_are_moved_along_the_samples_of_a_stream():

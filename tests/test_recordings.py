@@ -6,31 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drawn_bag import START_NS, Session, draw, messages, two_eyes, usual, write_bag
+from drawn_bag import MAP, START_NS, Session, draw, messages, two_eyes, usual, write_bag
 from vergence import cli
 from vergence.data.reader import load_dataset
-
-MAP = """
-[cameras.left_wide]
-eye = "left"
-images = "/stereo/left/image_raw"
-
-[cameras.right_wide]
-eye = "right"
-images = "/stereo/right/image_raw"
-
-[board]
-kind = "chessboard"
-columns = 7
-rows = 6
-square_m = 0.03
-
-[joints]
-left_pan = { column = "l_eye_pan", unit = "deg" }
-left_tilt = { column = "l_eye_tilt", unit = "deg" }
-right_pan = { column = "/pans/joint_states:r_eye_pan", unit = "deg", sign = -1 }
-right_tilt = { column = "r_eye_tilt", unit = "deg" }
-"""
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> None:

@@ -18,9 +18,8 @@ from vergence.calibration.observations import (
     Observations,
 )
 from vergence.calibration.other_boards import ANOTHER, mirrored, other_board, why_not_found
-from vergence.data.dataset import Dataset, runs
+from vergence.data.dataset import Dataset, motion_timing
 from vergence.data.images import UNREADABLE
-from vergence.data.timing import Timing
 from vergence.errors import VergenceError, counted
 from vergence.findings import Finding, note
 from vergence.geometry.board import Board
@@ -80,7 +79,7 @@ def detect_target(dataset: Dataset, *, progress: Progress = silent) -> Observati
     ]
     if not jobs:
         raise VergenceError(f"{dataset.folder} names no image in frames.csv.")
-    timing = Timing(dataset.joint_time_s, runs(dataset)) if dataset.moving.any() else None
+    timing = motion_timing(dataset)
     task = "finding the board"
     progress(task, 0, len(jobs))
     first = jobs[:: max(1, len(jobs) // _FIRST)]

@@ -15,7 +15,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.data.description import DESCRIPTION, FRAMES, Description
 from vergence.data.images import MAX_IMAGE_BYTES, UNREADABLE, decode_image, image_size, to_8_bits
-from vergence.data.timing import Timing, moved_readings
+from vergence.data.timing import JointStream, Timing, moved_readings
 from vergence.errors import VergenceError, counted
 from vergence.files import read_bytes
 from vergence.findings import Finding
@@ -25,6 +25,8 @@ from vergence.geometry.head import HeadCalibration, pair_names
 
 MAX_GAP_S = 0.2
 """Longest time [s] between successive rows of one motion; six images at 30 Hz."""
+STREAMED_GAP_S = 0.5
+"""The same where a stream has what the joints do in between; images at 2 Hz."""
 LEAST_MOVING = 3
 """Fewest rows of a motion, so that its velocity can be estimated."""
 
@@ -71,6 +73,8 @@ class Dataset:
     """(N,) of bool: whether the eyes were moving, so that the time of the reading matters."""
     files: Mapping[str, tuple[str | None, ...]]
     """By camera name: N image files, relative to the folder; None where there is no image."""
+    stream: JointStream | None = None
+    """Readings of the eyes at their own rate, on the clock of joint_time_s; None: not recorded."""
     findings: tuple[Finding, ...] = ()
     """What looks unusual but may be right, one sentence each, for the report."""
 
@@ -146,10 +150,11 @@ class Dataset:
 def runs(dataset: Dataset) -> np.ndarray:
     """Number the motion of each row (N,) of int from 1; 0 for eyes at rest.
 
-    A motion ends where the eyes rest or rows are more than MAX_GAP_S apart. VergenceError if one
-    has fewer than LEAST_MOVING rows.
+    A motion ends where the eyes rest or rows are more than MAX_GAP_S apart, with a stream of
+    readings STREAMED_GAP_S. VergenceError if one has fewer than LEAST_MOVING rows.
     """
-    late = np.diff(dataset.joint_time_s, prepend=-np.inf) > MAX_GAP_S
+    gap_s = MAX_GAP_S if dataset.stream is None else STREAMED_GAP_S
+    late = np.diff(dataset.joint_time_s, prepend=-np.inf) > gap_s
     before = np.concatenate([[False], dataset.moving[:-1]])
     run = np.cumsum(dataset.moving & (late | ~before)) * dataset.moving
     for number in range(1, run.max(initial=0) + 1):
@@ -157,9 +162,19 @@ def runs(dataset: Dataset) -> np.ndarray:
         if len(rows) < LEAST_MOVING:
             raise VergenceError(
                 f"{dataset.where(rows[0])}: moving rows come at least {LEAST_MOVING} in sequence, "
-                f"not more than {MAX_GAP_S} s apart; found {len(rows)}."
+                f"not more than {gap_s} s apart; found {len(rows)}."
             )
     return run
+
+
+def motion_timing(dataset: Dataset) -> Timing | None:
+    """Collect when the readings of a dataset were taken; None: the eyes stand still in all rows.
+
+    VergenceError for a motion that is too short.
+    """
+    if not dataset.moving.any():
+        return None
+    return Timing(dataset.joint_time_s, runs(dataset), dataset.stream)
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,9 +252,9 @@ def readings_at_images(dataset: Dataset, head: HeadCalibration, later_s: float =
     too short.
     """
     readings = dataset.eye_angles if dataset.T_base_eye is None else dataset.T_base_eye
-    if not dataset.moving.any():
+    timing = motion_timing(dataset)
+    if timing is None:
         return readings
-    timing = Timing(dataset.joint_time_s, runs(dataset))
     return moved_readings(readings, timing, time_offset(dataset, head) + later_s)
 
 

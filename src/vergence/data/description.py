@@ -27,7 +27,7 @@ from vergence.geometry.kinematics import (
     pan_tilt,
 )
 
-DESCRIPTION, FRAMES = "dataset.json", "frames.csv"
+DESCRIPTION, FRAMES, STREAM = "dataset.json", "frames.csv", "joints.csv"
 TIME, JOINT_TIME, PLACEMENT, MOVING = "time_s", "joint_time_s", "placement", "moving"
 """Columns of frames.csv other than joints, poses and cameras."""
 MAX_SQUARE_M = 1.0

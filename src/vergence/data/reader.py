@@ -11,12 +11,19 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.dataset import LEAST_MOVING, MAX_GAP_S, Dataset
-from vergence.data.description import DESCRIPTION, FRAMES, MOVING, Description
+from vergence.data.description import (
+    DESCRIPTION,
+    FRAMES,
+    MOVING,
+    Description,
+)
 from vergence.data.table import (
     Table,
+    check_stream,
     joint_angles,
     measured_eye_poses,
     placements,
+    read_stream,
     read_table,
     time_stamps,
 )
@@ -47,12 +54,15 @@ def load_dataset(folder: str | Path) -> Dataset:
         parse_json,
         most_bytes=2**20,  # 64 cameras with intrinsics have 50 kB
     )
-    table = read_table(folder / FRAMES, description)
+    table = read_table(folder / FRAMES, description.columns, description.optional_columns)
     poses, moving = description.eye_motion == "poses", table.whole_numbers(MOVING, 1) == 1
     time_s, joint_time_s = time_stamps(table)
     kinematics = description.head_kinematics
     eye_angles = joint_angles(description, kinematics.readings, table)
     neck_angles = joint_angles(description, description.neck_joints, table)
+    stream = read_stream(folder, description)
+    if stream is not None:
+        check_stream(stream, joint_time_s, moving, table)
     T_base_eye, findings = None, ()
     if poses:
         T_base_eye, findings = measured_eye_poses(description, table)
@@ -70,6 +80,7 @@ def load_dataset(folder: str | Path) -> Dataset:
         placement=placements(description.neck_joints, neck_angles, table),
         moving=moving,
         files=_image_files(folder, description, table),
+        stream=stream,
         findings=findings,
     )
 

@@ -1,4 +1,4 @@
-"""Read and check the table of a dataset, frames.csv.
+"""Read and check the tables of a dataset, frames.csv and joints.csv.
 
 The writer of datasets checks its rows with the same functions.
 """
@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from io import StringIO
 from math import nan
@@ -17,13 +17,16 @@ from pathlib import Path
 import numpy as np
 
 from vergence.arrays import Array
+from vergence.data.dataset import MAX_GAP_S
 from vergence.data.description import (
     JOINT_TIME,
     PLACEMENT,
+    STREAM,
     TIME,
     Description,
     pose_columns,
 )
+from vergence.data.timing import LEAST_ROWS, JointStream
 from vergence.errors import VergenceError, counted, explain
 from vergence.files import MAX_DIGITS, read_bytes
 from vergence.findings import Finding
@@ -43,7 +46,7 @@ MAX_COLUMNS = 1000
 
 @dataclass(frozen=True)
 class Table:
-    """N rows of frames.csv as text."""
+    """N rows of a CSV file as text."""
 
     path: Path
     lines: tuple[int, ...]
@@ -82,8 +85,11 @@ def _number(text: str) -> float:
     return float(text) if len(text) <= MAX_DIGITS and NUMBER.fullmatch(text) else nan
 
 
-def read_table(path: Path, description: Description) -> Table:
-    """Read the rows that are not blank, and check the columns."""
+def read_table(path: Path, known: Sequence[str], optional: Collection[str] = ()) -> Table:
+    """Read the rows that are not blank, and check that the columns are the known ones.
+
+    Optional ones may be missing; time stamps then count the rows.
+    """
     content = read_bytes(path, 32 * 2**20)  # 100,000 rows of ten columns have 10 MB
     rows: dict[int, list[str]] = {}
     try:
@@ -96,7 +102,7 @@ def read_table(path: Path, description: Description) -> Table:
             if len(cells) > MAX_COLUMNS or len(rows) > MAX_ROWS:
                 raise ValueError(f"it has more than {MAX_COLUMNS} columns or {MAX_ROWS} rows")
     except (csv.Error, ValueError) as error:  # ValueError: also for text that is not UTF-8
-        raise VergenceError(f"{path} is not a CSV file of frames: {explain(error)}.") from None
+        raise VergenceError(f"{path} is not a CSV file: {explain(error)}.") from None
     name, uses = Counter(header).most_common(1)[0]
     if uses > 1:
         raise VergenceError(f"{path}: the column {name!r} is repeated.")
@@ -106,9 +112,8 @@ def read_table(path: Path, description: Description) -> Table:
                 f"{path}, line {line}: found {counted(len(cells), 'field')} for "
                 f"{counted(len(header), 'column')}."
             )
-    known = description.columns
     for name in known:
-        if name not in header and name not in description.optional_columns:
+        if name not in header and name not in optional:
             raise VergenceError(
                 f"{path}: the column {name!r} is missing; found {', '.join(header):.1000}. Columns "
                 "are named in the first line and separated by commas."
@@ -120,7 +125,7 @@ def read_table(path: Path, description: Description) -> Table:
                 "an underscore."
             )
     if not rows:
-        raise VergenceError(f"{path} has no frames, only a header.")
+        raise VergenceError(f"{path} has no rows, only a header.")
     columns = dict(zip(header, zip(*rows.values(), strict=True), strict=True))
     columns.setdefault(TIME, tuple(map(str, range(len(rows)))))
     columns.setdefault(JOINT_TIME, columns[TIME])
@@ -203,6 +208,38 @@ def placements(neck: Sequence[str], neck_angles: Array, table: Table) -> np.ndar
             f"{PLACEMENT} than {placement[k]}."
         )
     return placement
+
+
+def read_stream(folder: Path, description: Description) -> JointStream | None:
+    """Read the eyes' readings at their own rate, joints.csv; None: there are none.
+
+    VergenceError as for frames.csv, or if there are too few.
+    """
+    path, names = folder / STREAM, description.head_kinematics.readings
+    if description.eye_motion != "pan-tilt" or not path.exists():
+        return None
+    columns = [description.sources[name].column for name in names]
+    table = read_table(path, [TIME, *columns])
+    if len(table.lines) < LEAST_ROWS:
+        raise VergenceError(
+            f"{path} has {counted(len(table.lines), 'row')}; needed are {LEAST_ROWS} or more."
+        )
+    return JointStream(time_stamps(table)[0], joint_angles(description, names, table))
+
+
+def check_stream(
+    stream: JointStream, joint_time_s: Array, moving: np.ndarray, table: Table
+) -> None:
+    """Raise VergenceError for a row with moving eyes that is not between samples of a stream."""
+    t = stream.time_s
+    after = np.clip(np.searchsorted(t, joint_time_s), 1, len(t) - 1)
+    beyond = (joint_time_s < t[0]) | (joint_time_s > t[-1])
+    beyond |= t[after] - t[after - 1] > MAX_GAP_S
+    for k in np.flatnonzero(beyond & moving).tolist():
+        raise VergenceError(
+            f"{table.where(k)}: the eyes move, and {STREAM} has no readings before and after "
+            f"{JOINT_TIME} = {joint_time_s[k]} s that are at most {MAX_GAP_S} s apart."
+        )
 
 
 def measured_eye_poses(description: Description, table: Table) -> tuple[Array, tuple[Finding, ...]]:

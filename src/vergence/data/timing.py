@@ -7,6 +7,7 @@ like 3 % of gain in a motion of 1 Hz.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -89,11 +90,11 @@ def course(timing: Timing, readings: Array) -> Array:
     if timing.stream is None:
         return coefficients(stencil(timing.time_s, timing.run), readings)
     samples = timing.stream
-    moving = np.flatnonzero(timing.run > 0)
-    found = [(k, *_polynomial(samples.time_s, timing.time_s[k])) for k in moving]
-    every = np.arange(len(samples.time_s))
-    fits = [(k, every[window], fit) for k, window, fit in found]
-    around = _stencil(fits, np.zeros(len(timing.run), dtype=np.intp))
+    every, found = np.arange(len(samples.time_s)), list[_Fit]()
+    for view in np.flatnonzero(timing.run > 0).tolist():
+        window, fit = _polynomial(samples.time_s, timing.time_s[view])
+        found.append((view, every[window], fit))
+    around = _stencil(found, np.zeros(len(timing.run), dtype=np.intp))
     return coefficients(around, samples.readings)
 
 
@@ -117,7 +118,7 @@ def _polynomial(t: Array, now: float) -> tuple[slice, Array]:
     return window, (fit / WINDOW_S ** np.arange(1, degree + 1)[:, None]).T
 
 
-def _stencil(found: list[_Fit], unused: np.ndarray) -> Stencil:
+def _stencil(found: Sequence[_Fit], unused: np.ndarray) -> Stencil:
     """Assemble the polynomials of N samples; (N,) stand in places that are not needed."""
     N, W = len(unused), max((len(rows) for _, rows, _ in found), default=1)
     neighbours = np.tile(unused[:, None], W)

@@ -173,6 +173,9 @@ def _check(head: HeadCalibration, description: Description, where: str) -> None:
 def _beyond_readings(dataset: Dataset, offset_s: float) -> np.ndarray:
     """Find the rows (M,) of bool whose image was taken before or after the readings of a motion."""
     run, at_s = runs(dataset), dataset.joint_time_s + offset_s
+    if dataset.stream is not None:
+        read_s = dataset.stream.time_s
+        return (run > 0) & ((at_s < read_s[0]) | (at_s > read_s[-1]))
     beyond = np.zeros(len(run), bool)
     for number in np.unique(run[run > 0]):
         own = run == number

@@ -15,7 +15,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.other_boards import other_board
-from vergence.data.dataset import LEAST_MOVING, MAX_GAP_S, Frame
+from vergence.data.dataset import LEAST_MOVING, Frame
 from vergence.data.images import to_8_bits
 from vergence.data.writer import DatasetRow, write_dataset
 from vergence.errors import VergenceError, counted
@@ -28,6 +28,7 @@ from vergence.recordings.chosen_images import read_images
 from vergence.recordings.clocks import check_stamps
 from vergence.recordings.formats import open_recording
 from vergence.recordings.frame_choice import ChosenFrames, choose_frames
+from vergence.recordings.joint_streams import joint_stream
 from vergence.recordings.mapped_scan import on_the_clock, scan_mapped
 from vergence.recordings.moments import STILL, Moments, find_moments
 from vergence.recordings.recording_map import RecordingMap
@@ -101,7 +102,9 @@ def import_recording(
                 )
                 progress("writing the dataset", k + 1, len(chosen.rows))
 
-        write_dataset(out, description, rows())
+        moving_ns = moments.time_ns[chosen.rows[chosen.moving]]
+        stream = joint_stream(scanned, mapped, description, moving_ns)
+        write_dataset(out, description, rows(), stream=stream)
     places = 0 if placement is None else len(np.unique(placement))
     return ImportedRecording(len(chosen.rows), int(chosen.moving.sum()), places, findings)
 
@@ -148,7 +151,7 @@ def _with_board(moments: Moments, chosen: ChosenFrames, seen: np.ndarray) -> np.
     frames in sequence or more.
     """
     kept = seen.copy()
-    late = np.diff(moments.time_ns[chosen.rows], prepend=-(10**18)) > MAX_GAP_S * 1e9
+    late = np.diff(moments.time_ns[chosen.rows], prepend=-(10**18)) > moments.gap_s * 1e9
     begins = chosen.moving & (late | ~np.concatenate([[False], chosen.moving[:-1]]))
     run = np.cumsum(begins) * chosen.moving
     for number in range(1, run.max(initial=0) + 1):
