@@ -20,6 +20,9 @@ def test_episodes_are_read_one_after_another_and_alone(tmp_path, version, videos
     if videos:
         pytest.importorskip("av")
     write_lerobot(tmp_path / "set", version, videos=videos)
+    with open_recording(tmp_path / "set") as recording:
+        usable = {name for name, each in recording.channels.items() if each.kind != "other"}
+    assert usable == {"observation.state", LEFT, LEFT.replace("left", "right")}
     every = contents(tmp_path / "set", "observation.state", LEFT)
     joints = [(message, content) for message, content in every if message.channel != LEFT]
     assert {content.names for _, content in joints} == {("pan.pos", "tilt.pos")}

@@ -119,7 +119,7 @@ def test_images_numbered_by_frames_need_a_csv(tmp_path):
     [
         ("", "Empty CSV"),
         ("pan,tilt\n1,2\n", "csv without a column of times"),
-        ("time,pan\n", "csv of times without numbers"),
+        ("time,pan\n", "csv without a number"),
         ("time,pan\n0.1,1\n0.2\n", "Expected 2 columns, got 1"),
         ("time,pan\n0.1,1\n0.2,on\n", "column pan: row 2 below the header has 'on'"),
         ("time,pan\n0.1,1\nnoon,2\n", "column time: row 2 below the header has 'noon'"),
@@ -127,7 +127,7 @@ def test_images_numbered_by_frames_need_a_csv(tmp_path):
         ("time,pan\n0.1,1\n1e30,2\n", "stamp 2 is 1e+30, not a time in s"),
         ("time,pan\n1,1\n2,2\n", "as numbers of frames have"),
         ("time,pan,pan\n0.1,1,2\n", "two columns of one name"),
-        ("time,pan\n0.1,\0\n", "csv of times without numbers"),
+        ("time,pan\n0.1,\0\n", "csv without a number"),
         ("\0\0\0\0", "Empty CSV"),
         ("time,image\n0.1,../secret.png\n", "leads out of the recording's folder"),
         ("time,image\n0.1,/etc/passwd.png\n", "leads out of the recording's folder"),

@@ -105,6 +105,7 @@ def write_lerobot(folder: Path, version: str, *, videos: bool, episodes: int = 3
             "observation.state": {"dtype": "float32", "shape": [2],
                                   "names": {"motors": ["pan.pos", "tilt.pos"]}},
             "timestamp": {"dtype": "float32", "shape": [1], "names": None},
+            "episode_index": {"dtype": "int64", "shape": [1], "names": None},
             **{f"observation.images.{eye}": {"dtype": "video" if videos else "image",
                                              "shape": [24, 32, 3]} for eye in IMAGES},
         },

@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow
+from pyarrow import csv, types
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError, explain
@@ -28,8 +30,8 @@ class CsvTable:
     """A csv of N rows with C columns of numbers."""
 
     file: Path
-    unit: str
-    """Of its times, as it was recognised."""
+    unit: str | None
+    """Of its times, as it was recognised; None: it has no column of times."""
     stamp_ns: np.ndarray
     """(N,) of int64."""
     names: tuple[str, ...]
@@ -40,14 +42,11 @@ class CsvTable:
     """By column names of files (N,)."""
 
 
-def read_csv(file: Path) -> CsvTable | None:
-    """Read a csv with a header; None if it has no column of times.
+def read_csv(file: Path) -> CsvTable:
+    """Read a csv with a header.
 
     VergenceError if it is damaged, too large, or has text among the numbers of a column.
     """
-    import pyarrow
-    from pyarrow import csv, types
-
     content = read_bytes(file, MAX_TABLE_BYTES)
     header = content[: content.find(b"\n") + 1 or None]
     delimiter = max(b",;\t", key=header.count)
@@ -78,7 +77,7 @@ def read_csv(file: Path) -> CsvTable | None:
     readable = {name: column for name, column in columns.items() if _is_readable(column.type)}
     times = [name for name in readable if _TIME.search(name.lower())]
     if not times:
-        return None
+        return CsvTable(file, None, np.zeros(0, np.int64), (), np.zeros((0, 0)), {})
     time = next((name for name in times if "stamp" in name.lower()), times[0])
     unit, stamp_ns = _stamps(readable[time], time, file)
     numbers = {
@@ -91,8 +90,6 @@ def read_csv(file: Path) -> CsvTable | None:
 
 
 def _is_readable(kind: Any) -> bool:
-    from pyarrow import types
-
     tests = types.is_integer, types.is_floating, types.is_timestamp, types.is_null
     return any(test(kind) for test in tests)
 
@@ -108,7 +105,6 @@ def _check_texts(cells: list[str | None], where: str) -> None:
 def _stamps(column: Any, name: str, file: Path) -> tuple[str, np.ndarray]:
     """Convert a column of times to a unit and nanoseconds (N,)."""
     import pyarrow
-    from pyarrow import types
 
     where = f"{file}, column {name}"
     if column.null_count:

@@ -7,25 +7,26 @@ A folder has many episodes. They are read one after another, GAP_S apart, or one
 from __future__ import annotations
 
 import re
+from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
+from pyarrow import ArrowException, parquet
 
 from vergence.arrays import Array
 from vergence.data.images import UNREADABLE, decode_image
 from vergence.errors import VergenceError, counted, explain
 from vergence.files import file_inside, read_json
-from vergence.recordings.recording import Channel, Content, JointSample, Kind, Recording
-from vergence.recordings.series import Replay, Series, recording_of, unused
+from vergence.recordings.recording import Content, JointSample, Kind, Recording
+from vergence.recordings.series import Series, readings, recording_of, series, unused
 from vergence.recordings.stamps import nanoseconds
-from vergence.recordings.video import Video, open_video
+from vergence.recordings.video import Video, open_latest
 
-T = TypeVar("T")
 GAP_S = 10.0
 """Time [s] between episodes; readings are not interpolated over it."""
 MAX_VALUES = 30_000_000
@@ -34,10 +35,8 @@ MAX_EPISODES = 100_000
 """Most episodes of a dataset; at half a minute each they are a month."""
 MAX_GROUP_BYTES = 2**29
 """Largest group of rows [bytes], which is in memory at once; usual are 100 to 1000 images."""
-BATCH = 16
-"""Images of a parquet file that are in memory at once."""
-_DAMAGED = OSError, ValueError, TypeError, LookupError, ArithmeticError
-"""What contents of other types than expected raise."""
+_DAMAGED = ArrowException, OSError, ValueError, TypeError, LookupError, ArithmeticError
+"""What damaged parquet raises, and contents of other types than expected."""
 _FIELD = re.compile(r"\{(\w+)(?::0?(\d)d)?\}")
 """A field in a template of file names; `str.format` could be asked for gigabytes of digits."""
 
@@ -72,9 +71,6 @@ class _Rows:
     episodes: dict[int, dict[str, Any]]
     """By index, what is known of an episode."""
 
-    def __getitem__(self, name: str) -> Array:
-        return self.columns[name][:, 0]
-
 
 def _split(path: Path) -> tuple[Path, int | None]:
     """Split a path into a dataset's folder and the index of an episode; None: all episodes."""
@@ -90,21 +86,16 @@ def recognise(path: Path) -> bool:
 @contextmanager
 def open_recording(path: Path) -> Iterator[Recording]:
     """Open a dataset or one of its episodes; VergenceError if it is damaged."""
-    import pyarrow
-
     root, wanted = _split(path)
     info = read_json(_inside(root, "meta/info.json"), _Info, "a description of a LeRobot dataset")
     try:
-        episodes = {
-            int(row["episode_index"]): row
-            for row in _list(root, info)
-            if wanted in (None, row["episode_index"])
-        }
+        listed = {int(row["episode_index"]): row for row in _list(root, info)}
+        episodes = {k: row for k, row in listed.items() if wanted in (None, k)}
         if not episodes:
-            count = counted(info.total_episodes, "episode")
+            count = counted(len(listed), "episode")
             raise VergenceError(f"There is no episode {path}; the dataset has {count}.")
         rows = _read_rows(root, info, episodes)
-    except (pyarrow.ArrowException, *_DAMAGED) as error:
+    except _DAMAGED as error:
         what = f"{root} cannot be read as a dataset of LeRobot"
         raise VergenceError(f"{what}: {explain(error)}.") from error
     with ExitStack() as stack:
@@ -139,13 +130,12 @@ def _read_rows(root: Path, info: _Info, episodes: dict[int, dict[str, Any]]) -> 
         for key, feature in info.features.items()
         if key.startswith("observation") and feature.dtype.startswith("float")
     )
-    names = "episode_index", "timestamp", *joints
-    parts: dict[str, list[Array]] = {name: [] for name in names}
+    parts: dict[str, list[Array]] = {key: [] for key in ("episode_index", "timestamp", *joints)}
     within = dict.fromkeys(_filled(info.data_path, row, "data") for row in episodes.values())
     files, place, left = [_inside(root, name) for name in within], [], MAX_VALUES
     for number, file in enumerate(files):
-        table = _table(file, names, left)
-        if missing := sorted(set(names) - set(table.column_names)):
+        table = _table(file, tuple(parts), left)
+        if missing := sorted(parts.keys() - table.column_names):
             raise VergenceError(f"{file} has no column {', '.join(missing)}.")
         of_row = _matrix(table["episode_index"], file)[:, 0]
         chosen = np.flatnonzero(np.isin(of_row, list(episodes)))
@@ -159,8 +149,6 @@ def _read_rows(root: Path, info: _Info, episodes: dict[int, dict[str, Any]]) -> 
 
 def _table(file: Path, prefixes: tuple[str, ...], most_values: int) -> Any:
     """Read columns of a parquet file by the beginnings of their names."""
-    from pyarrow import parquet
-
     with parquet.ParquetFile(file) as opened:
         about = opened.metadata
         groups = [about.row_group(k) for k in range(about.num_row_groups)]
@@ -188,28 +176,38 @@ def _matrix(column: Any, file: Path) -> Array:
 
 def _series(root: Path, info: _Info, rows: _Rows, stack: ExitStack) -> Iterator[Series]:
     """Make a channel of each feature, with the episodes one after another."""
-    time_s, episode = rows["timestamp"], rows["episode_index"].astype(int)
+    time_s, episode = (rows.columns[name][:, 0] for name in ("timestamp", "episode_index"))
     new = np.diff(episode, prepend=episode[:1]) != 0
     begin_s = np.cumsum(np.where(new, np.roll(time_s, 1) + GAP_S, 0.0))
     stamps = nanoseconds(time_s + begin_s, "s", f"{root}: timestamp")
+
+    def joints(names: tuple[str, ...], values: Array, k: int) -> JointSample:
+        return readings(names, values[k])
+
+    def frame(key: str, opened: Callable[[Path], Video], k: int) -> np.ndarray:
+        row, part = rows.episodes[int(episode[k])], f"videos/{key}"
+        file = _inside(root, _filled(info.video_path, row, part, key))
+        at_s = float(row.get(f"{part}/from_timestamp", 0.0)) + time_s[k]
+        shown_s = opened(file).time_s
+        index = int(np.argmin(np.abs(shown_s - at_s)))
+        if not abs(shown_s[index] - at_s) <= 0.5 / info.fps:
+            last = f"its last is at {shown_s[-1]:.3f} s"
+            raise VergenceError(f"{file} has no frame at {at_s:.3f} s; {last}.")
+        return opened(file).frame(index)
+
     for key, feature in info.features.items():
-        content: Callable[[int], Content]
         kind: Kind = "images"
         if key in rows.columns and key.startswith("observation"):
-            kind = "joints"
-            content = partial(_joints, rows.columns[key], _names(key, feature, rows.columns[key]))
+            kind, names = "joints", _names(key, feature, rows.columns[key])
+            content = partial(joints, names, rows.columns[key])
         elif feature.dtype == "video":
-            content = partial(_frame, root, info, rows, key, _latest(open_video, stack))
+            content = partial(frame, key, open_latest(stack))
         elif feature.dtype == "image":
-            content = partial(_stored_image, rows, _latest(partial(_stored, key), stack))
+            content = _image_reader(rows, key)
         else:
             yield unused(key, feature.dtype, len(stamps))
             continue
-        yield Series(Channel(key, kind, feature.dtype, len(stamps)), stamps, stamps, content)
-
-
-def _joints(values: Array, names: tuple[str, ...], k: int) -> JointSample:
-    return JointSample(names, values[k])
+        yield series(key, kind, feature.dtype, stamps, content)
 
 
 def _names(key: str, feature: _Feature, values: Array) -> tuple[str, ...]:
@@ -221,69 +219,34 @@ def _names(key: str, feature: _Feature, values: Array) -> tuple[str, ...]:
     return names if len(set(names)) == count else tuple(f"{key}/{k}" for k in range(count))
 
 
-def _latest(
-    open_file: Callable[[Path], AbstractContextManager[T]], stack: ExitStack
-) -> Callable[[Path], T]:
-    """Make a function that opens a file and keeps it open until it is asked for another."""
-    opened, inner = {}, stack.enter_context(ExitStack())
+def _image_reader(rows: _Rows, key: str) -> Callable[[int], Content]:
+    """Make a function that reads images in a column of parquet, a group of rows at a time."""
 
-    def get(file: Path) -> T:
-        if file not in opened:
-            opened.clear()
-            inner.close()
-            opened[file] = inner.enter_context(open_file(file))
-        return opened[file]
+    @lru_cache(1)
+    def begins(file: Path) -> list[int]:
+        with parquet.ParquetFile(file) as opened:
+            about = opened.metadata
+            sizes = [about.row_group(k).num_rows for k in range(about.num_row_groups)]
+        return np.cumsum([0, *sizes]).tolist()
 
-    return get
+    @lru_cache(1)
+    def group(file: Path, number: int) -> Any:
+        with parquet.ParquetFile(file) as opened:
+            if opened.metadata.row_group(number).total_byte_size > MAX_GROUP_BYTES:
+                raise ValueError(f"its group of rows has more than {MAX_GROUP_BYTES:,} bytes")
+            return opened.read_row_group(number, columns=[key], use_threads=False).column(0)
 
+    def read(k: int) -> np.ndarray:
+        file, row = rows.files[rows.place[k, 0]], int(rows.place[k, 1])
+        where = f"{file}: {key} of row {row}"
+        try:
+            number = bisect_right(begins(file), row) - 1
+            cell = group(file, number)[row - begins(file)[number]].as_py()
+            image = decode_image(cell["bytes"])
+        except _DAMAGED as error:
+            raise VergenceError(f"{where} is damaged: {explain(error)}.") from error
+        if image is None:
+            raise VergenceError(f"{where} {UNREADABLE}.")
+        return image
 
-def _frame(
-    root: Path, info: _Info, rows: _Rows, key: str, opened: Callable[[Path], Video], k: int
-) -> np.ndarray:
-    episode, part = rows.episodes[int(rows["episode_index"][k])], f"videos/{key}"
-    file = _inside(root, _filled(info.video_path, episode, part, key))
-    at_s = float(episode.get(f"{part}/from_timestamp", 0.0)) + rows["timestamp"][k]
-    video = opened(file)
-    index = int(np.argmin(np.abs(video.time_s - at_s)))
-    if not abs(video.time_s[index] - at_s) <= 0.5 / info.fps:
-        raise VergenceError(
-            f"{file} has no frame at {at_s:.3f} s; it ends at {video.time_s[-1]:.3f} s."
-        )
-    return video.frame(index)
-
-
-@contextmanager
-def _stored(key: str, file: Path) -> Iterator[Replay[Any]]:
-    """Open the images in a column of a parquet file."""
-    from pyarrow import parquet
-
-    with parquet.ParquetFile(file, buffer_size=2**20, pre_buffer=False) as opened:
-        groups = range(opened.num_row_groups)
-        about = [opened.metadata.row_group(k) for k in groups]
-        if max((group.total_byte_size for group in about), default=0) > MAX_GROUP_BYTES:
-            raise VergenceError(f"{file} has more than {MAX_GROUP_BYTES:,} bytes in a row group.")
-        begins = np.cumsum([0, *(group.num_rows for group in about)])[:-1]
-
-        def read_from(begin: int) -> Iterator[tuple[int, Any]]:
-            rest = list(groups)[int(np.searchsorted(begins, begin)) :]
-            batches = opened.iter_batches(BATCH, rest, [key], use_threads=False)
-            cells = (cell for batch in batches for cell in batch.column(0).to_pylist())
-            yield from enumerate(cells, begin)
-
-        yield Replay(begins, read_from)
-
-
-def _stored_image(rows: _Rows, opened: Callable[[Path], Replay[Any]], k: int) -> np.ndarray:
-    import pyarrow
-
-    file, row = rows.files[rows.place[k, 0]], int(rows.place[k, 1])
-    where = f"{file}: the image of row {row}"
-    try:
-        cell = opened(file)(row)
-    except (pyarrow.ArrowException, OSError, ValueError) as error:
-        raise VergenceError(f"{where} cannot be read: {explain(error)}.") from error
-    content = cell.get("bytes") if isinstance(cell, dict) else cell
-    image = decode_image(content) if isinstance(content, bytes) else None
-    if image is None:
-        raise VergenceError(f"{where} {UNREADABLE}.")
-    return image
+    return read

@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import posixpath
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path, PurePosixPath
@@ -20,8 +20,15 @@ import numpy as np
 from vergence.errors import VergenceError, counted
 from vergence.files import file_inside
 from vergence.recordings.csv_table import IMAGE_SUFFIXES, CsvTable, read_csv
-from vergence.recordings.recording import Channel, Content, JointSample, Recording
-from vergence.recordings.series import Series, read_image, recording_of, unused
+from vergence.recordings.recording import JointSample, Recording
+from vergence.recordings.series import (
+    Series,
+    read_image,
+    readings,
+    recording_of,
+    series,
+    unused,
+)
 from vergence.recordings.stamps import nanoseconds, recognise_unit
 from vergence.recordings.video import VIDEO_SUFFIXES, open_video
 
@@ -40,25 +47,18 @@ def recognise(path: Path) -> bool:
 
 
 def _files(root: Path) -> Iterator[Path]:
-    """List the files of a folder in their natural order; links to folders are not followed."""
+    """List the files of a folder, 9.png before 10.png; links to folders are not followed."""
     for count, (folder, folders, names) in enumerate(os.walk(root)):
         folders.sort()
         if count == MAX_FOLDERS:
             return
-        yield from (Path(folder) / name for name in sorted(names, key=_natural))
-
-
-def _natural(name: str) -> list[tuple[int, str]]:
-    """Make a key that sorts 9.png before 10.png."""
-    parts = re.split(r"(\d{1,30})", name)
-    return [(int(part), "") if part.isdecimal() else (0, part) for part in parts]
+        yield from (Path(folder) / name for name in sorted(names, key=lambda n: (len(n), n)))
 
 
 @contextmanager
 def open_recording(path: Path) -> Iterator[Recording]:
     """Open a folder of tables, or a csv; VergenceError if it is damaged."""
     root = path if path.is_dir() else path.parent
-    series: list[Series] = []
     tables: dict[str, CsvTable] = {}
     videos: dict[str, Path] = {}
     folders: dict[str, list[str]] = {}
@@ -66,115 +66,88 @@ def open_recording(path: Path) -> Iterator[Recording]:
         within, suffix = file.relative_to(root), file.suffix.lower()
         name = within.with_suffix("").as_posix()
         if suffix == ".csv":
-            table = read_csv(file_inside(root, str(within), str(file), of="recording"))
-            if table is None:
-                series.append(unused(name, "csv without a column of times"))
-            else:
-                tables[name] = table
+            tables[name] = read_csv(file_inside(root, str(within), str(file), of="recording"))
         elif suffix in VIDEO_SUFFIXES:
             videos[name] = file_inside(root, str(within), str(file), of="recording")
         elif suffix in IMAGE_SUFFIXES:
             folders.setdefault(within.parent.as_posix(), []).append(within.as_posix())
     with ExitStack() as stack:
-        series += _series(root, tables, videos, folders, stack)
-        yield recording_of(path, series, "a recording")
+        yield recording_of(path, _series(root, tables, videos, folders, stack), "a recording")
 
 
 def _series(
     root: Path,
-    tables: Mapping[str, CsvTable],
-    videos: Mapping[str, Path],
-    folders: Mapping[str, list[str]],
+    tables: dict[str, CsvTable],
+    videos: dict[str, Path],
+    folders: dict[str, list[str]],
     stack: ExitStack,
 ) -> Iterator[Series]:
-    """Find out which tables are stamps of which images."""
-    listed, stamps = set(), set()
+    """Make channels of all images and joints; what is used up is taken from the dictionaries."""
     for name, table in tables.items():
         for column in table.images:
-            each, parents = _listed_images(root, name, table, column)
-            listed |= parents
-            yield each
+            files, rows = _listed(root, table, column)
+            for folder in {posixpath.dirname(file) or "." for file in files}:
+                folders.pop(folder, None)
+            type_name = f"csv of files, times in {table.unit}"
+            content = partial(_image, root, files)
+            yield series(f"{name}/{column}", "images", type_name, table.stamp_ns[rows], content)
     for name in (*videos, *folders):
-        if name in folders and name in listed:
-            continue
         of_name = re.compile(re.escape(name) + _STAMPS)
-        own = [n for n in tables if of_name.fullmatch(n) and not tables[n].images]
-        stamps.update(own[:1])
-        table = tables[own[0]] if own else None
-        if name in folders:
-            yield _folder(root, name, folders[name], table)
-        elif table is None:
-            yield unused(name, f"video without a csv of its stamps, such as {name}.csv")
-        else:
-            video = stack.enter_context(open_video(videos[name]))
-            yield _stamped(name, "video", table, len(video.time_s), video.frame)
-    for name, table in tables.items():
-        if name in stamps or (table.images and not table.names):
+        own = next((n for n in tables if of_name.fullmatch(n) and not tables[n].images), None)
+        if own is None:
+            stampless = f"a csv of stamps is missing, such as {name}.csv"
+            yield unused(name, stampless) if name in videos else _named(root, name, folders[name])
             continue
-        if not table.names or not len(table.values):
-            yield unused(name, "csv of times without numbers")
+        if name in videos:
+            video = stack.enter_context(open_video(videos[name]))
+            count, content = len(video.time_s), video.frame
         else:
-            channel = Channel(name, "joints", f"csv, times in {table.unit}", len(table.values))
-            yield Series(channel, table.stamp_ns, table.stamp_ns, partial(_joints, table))
+            count, content = len(folders[name]), partial(_image, root, folders[name])
+        table = tables.pop(own)
+        if len(table.stamp_ns) != count:
+            stamps, images = counted(len(table.stamp_ns), "stamp"), counted(count, "image")
+            raise VergenceError(f"{table.file} has {stamps}, but {name} has {images}.")
+        yield series(name, "images", f"times in {table.unit}", table.stamp_ns, content)
+    for name, table in tables.items():
+        if table.names and len(table.values):
+            content = partial(_joints, table)
+            yield series(name, "joints", f"csv, times in {table.unit}", table.stamp_ns, content)
+        elif not table.images:
+            what = "column of times" if table.unit is None else "number"
+            yield unused(name, f"csv without a {what}")
 
 
 def _joints(table: CsvTable, k: int) -> JointSample:
-    values = table.values[k]
-    known = np.isfinite(values)
-    names = table.names if known.all() else tuple(np.array(table.names)[known].tolist())
-    return JointSample(names, values[known])
-
-
-def _listed_images(root: Path, name: str, table: CsvTable, column: str) -> tuple[Series, set[str]]:
-    """Take images from a column of file names; also return the folders in which they are."""
-    cells = table.images[column]
-    rows = np.flatnonzero([cell is not None for cell in cells])
-    files = [str(cells[row]).replace("\\", "/") for row in rows]
-    base = table.file.parent.relative_to(root)
-    if files and not os.path.isfile(root / base / files[0]):
-        inner = base / table.file.stem  # as in data.csv beside a folder data
-        base = inner if os.path.isfile(root / inner / files[0]) else base
-    files = [posixpath.normpath((base / file).as_posix()) for file in files]
-    stamps = table.stamp_ns[rows]
-    channel = Channel(
-        f"{name}/{column}", "images", f"csv of files, times in {table.unit}", len(rows)
-    )
-    series = Series(channel, stamps, stamps, partial(_image, root, files))
-    return series, {posixpath.dirname(file) or "." for file in files}
+    return readings(table.names, table.values[k])
 
 
 def _image(root: Path, files: list[str], k: int) -> np.ndarray:
     return read_image(root, files[k], f"{root}: image {files[k][:200]!r}")
 
 
-def _stamped(
-    name: str, type_name: str, table: CsvTable, count: int, content: Callable[[int], Content]
-) -> Series:
-    """Give images the stamps of a csv; VergenceError if there are not as many."""
-    if len(table.stamp_ns) != count:
-        raise VergenceError(
-            f"{table.file} has {counted(len(table.stamp_ns), 'stamp')}, but {name} has "
-            f"{counted(count, 'image')}."
-        )
-    channel = Channel(name, "images", f"{type_name}, times in {table.unit}", count)
-    return Series(channel, table.stamp_ns, table.stamp_ns, content)
+def _listed(root: Path, table: CsvTable, column: str) -> tuple[list[str], np.ndarray]:
+    """List the files in a column by their path from the root, and the rows that have one."""
+    rows = np.flatnonzero([cell is not None for cell in table.images[column]])
+    files = [str(table.images[column][row]).replace("\\", "/") for row in rows]
+    base = table.file.parent.relative_to(root.resolve())
+    inner = base / table.file.stem  # as for data.csv beside a folder data
+    if files and os.path.isfile(root / inner / files[0]):
+        base = inner
+    return [posixpath.normpath((base / file).as_posix()) for file in files], rows
 
 
-def _folder(root: Path, name: str, files: list[str], table: CsvTable | None) -> Series:
-    """Take the images of a folder, with the stamps of a csv or those in their names."""
-    if table is not None:
-        return _stamped(name, "images", table, len(files), partial(_image, root, files))
-    numbers = [_LAST_NUMBER.search(PurePosixPath(file).stem) for file in files]
+def _named(root: Path, name: str, files: list[str]) -> Series:
+    """Take the images of a folder with the stamps in their names."""
+    found = [_LAST_NUMBER.search(PurePosixPath(file).stem) for file in files]
+    texts = [match[1] for match in found if match]
+    if len(texts) < len(files):
+        return unused(name, "images without stamps in their names or in a csv", len(files))
+    values = np.array([int(text) if text.isdecimal() else float(text) for text in texts])
     try:
-        texts = [number[1] for number in numbers if number]
-        values = np.array([int(text) if text.isdecimal() else float(text) for text in texts])
-        unit = recognise_unit(values, "the number in the names of images", f"{root / name}")
-        stamps = nanoseconds(values, unit, f"{root / name}")
+        unit = recognise_unit(values, "the number in the names of images", str(root / name))
+        stamps = nanoseconds(values, unit, str(root / name))
     except VergenceError as error:
         return unused(name, f"images without stamps: {error}", len(files))
-    if len(stamps) < len(files):
-        return unused(name, "images without stamps in their names or in a csv", len(files))
     order = np.argsort(stamps, kind="stable")
-    channel = Channel(name, "images", f"images, times in {unit} in their names", len(files))
-    files = [files[k] for k in order]
-    return Series(channel, stamps[order], stamps[order], partial(_image, root, files))
+    content = partial(_image, root, [files[k] for k in order])
+    return series(name, "images", f"times in {unit} in their names", stamps[order], content)

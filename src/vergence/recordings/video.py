@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,6 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.errors import VergenceError, explain
 from vergence.geometry.camera import MAX_IMAGE_AREA_PX
-from vergence.recordings.series import Replay
 
 VIDEO_SUFFIXES = (".mp4", ".mkv", ".avi", ".mov", ".webm", ".m4v")
 _OPTIONS = {
@@ -31,7 +29,8 @@ class Video:
     time_s: Array
     """(N,) times of the frames in the video, increasing."""
     frame: Callable[[int], np.ndarray]
-    """Decodes a frame (H, W, 3), RGB, or (H, W), by its index. VergenceError if it is damaged."""
+    """Decodes a frame (H, W, 3), RGB, or (H, W), by its index. VergenceError if it is damaged.
+    Successive frames are decoded once; others from the key frame before them."""
 
 
 @contextmanager
@@ -45,48 +44,61 @@ def open_video(path: Path) -> Iterator[Video]:
             f"{path} is a video; to read it install the package av, as by "
             "`pip install 'vergence[video]'`."
         ) from None
-    try:
-        with path.open("rb") as file, av.open(file, "r", options=_OPTIONS) as container:
-            if not container.streams.video:
-                raise VergenceError(f"{path} has no images.")
+    damaged = FFmpegError, OSError, LookupError, TypeError, ValueError
+    with ExitStack() as stack:
+        try:
+            file = stack.enter_context(path.open("rb"))
+            container = stack.enter_context(av.open(file, "r", options=_OPTIONS))
             stream = container.streams.video[0]
             stream.codec_context.options = {"max_pixels": str(MAX_IMAGE_AREA_PX)}
-            packets = [
-                (each.pts, each.is_keyframe) for each in container.demux(stream) if each.size
-            ]
-            if any(pts is None for pts, _ in packets):
-                raise VergenceError(f"{path} has frames without times.")
-            packets.sort()
+            packets = sorted((p.pts, p.is_keyframe) for p in container.demux(stream) if p.size)
             pts = np.array([time for time, _ in packets], np.int64)
-            begins = np.flatnonzero([key for _, key in packets])
-            if not len(begins) or (np.diff(pts) <= 0).any():
-                raise VergenceError(f"{path} has no frames, or several of one time.")
-            begins[0] = 0
-            replay = Replay(begins, partial(_frames, container, stream, pts))
-            time_s = pts.astype(float) * float(stream.time_base or 1)
-            yield Video(time_s, partial(_frame, replay, path))
-    except (OSError, ValueError, FFmpegError) as error:
-        raise VergenceError(f"{path} cannot be read as a video: {explain(error)}.") from error
+            keys = np.flatnonzero([key for _, key in packets])
+            if not len(keys) or (np.diff(pts) <= 0).any():
+                raise ValueError("it has no frames, or several of one time")
+        except damaged as error:
+            raise VergenceError(f"{path} cannot be read as a video: {explain(error)}.") from error
+        decoded: Iterator[Any] = iter(())
+        following = -1  # the index of the next frame in `decoded`
+
+        def frame(wanted: int) -> np.ndarray:
+            nonlocal decoded, following
+            key = int(keys[max(0, int(np.searchsorted(keys, wanted, side="right")) - 1)])
+            try:
+                if not key <= following <= wanted:
+                    container.seek(int(pts[key]), stream=stream, backward=True)
+                    decoded = container.decode(stream)
+                for each in decoded:
+                    following = int(np.searchsorted(pts, each.pts)) + 1
+                    if following == wanted + 1:
+                        return _image(each)
+                    if following > wanted:
+                        break
+                raise ValueError("it is not where the index of the file says")
+            except damaged as error:
+                following = -1
+                where = f"{path}: frame {wanted} is damaged"
+                raise VergenceError(f"{where}: {explain(error)}.") from error
+
+        yield Video(pts.astype(float) * float(stream.time_base or 1), frame)
 
 
-def _frames(container: Any, stream: Any, pts: np.ndarray, begin: int) -> Iterator[tuple[int, Any]]:
-    """Decode the frames from a key frame on."""
-    container.seek(int(pts[begin]), stream=stream, backward=True)
-    for frame in container.decode(stream):
-        index = int(np.searchsorted(pts, frame.pts))
-        if index >= begin:  # a seek may go to an earlier key frame
-            yield index, frame
-
-
-def _frame(replay: Replay[Any], path: Path, index: int) -> np.ndarray:
-    from av.error import FFmpegError
-
-    try:
-        frame = replay(index)
-    except (OSError, ValueError, FFmpegError) as error:
-        raise VergenceError(f"{path}: frame {index} is damaged: {explain(error)}.") from error
-    if frame is None:
-        raise VergenceError(f"{path}: frame {index} is damaged or missing.")
+def _image(frame: Any) -> np.ndarray:
     grey = frame.format.name.startswith("gray")
     deep = grey and frame.format.components[0].bits > 8
     return frame.to_ndarray(format="gray16le" if deep else "gray" if grey else "rgb24")
+
+
+def open_latest(stack: ExitStack) -> Callable[[Path], Video]:
+    """Make a function that opens a video and keeps it open until it is asked for another."""
+    opened: dict[Path, Video] = {}
+    inner = stack.enter_context(ExitStack())
+
+    def get(path: Path) -> Video:
+        if path not in opened:
+            opened.clear()
+            inner.close()
+            opened[path] = inner.enter_context(open_video(path))
+        return opened[path]
+
+    return get

@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -19,48 +18,26 @@ import numpy as np
 
 from vergence.errors import VergenceError, counted
 from vergence.files import file_inside, read_bytes
-from vergence.recordings.recording import Channel, Content, JointSample, Kind, Recording
-from vergence.recordings.series import Series, read_image, recording_of, unused
+from vergence.recordings.recording import Channel, JointSample, Kind, Recording
+from vergence.recordings.series import Series, read_image, readings, recording_of, unused
 from vergence.recordings.stamps import nanoseconds
 from vergence.recordings.video import open_video
 
-DATA, INFO, TIMECODES = "data.log", "info.log", "timecodes.log"
+DATA, INFO = "data.log", "info.log"
 MAX_LOG_BYTES = 256 * 2**20
 """Largest data.log [bytes]; six joints at 100 Hz for ten hours have 200 MB."""
 MAX_FOLDERS = 10_000
 """Most folders among which ports are looked for; a robot has less than a hundred."""
 MAX_LATENCY_S = 60.0
-"""Longest time [s] between sending and receiving; two numbers that are closer are two stamps, if
-they count from 1970 as no reading of a joint does."""
-_BEGINNING = {n: re.compile(rb"\s*-?\d{1,20}" + rb"\s+(\d{1,20}\.?\d{0,20})" * n) for n in (1, 2)}
+"""Longest time [s] between sending and receiving. Two numbers that are closer, and count from 1970
+as no reading of a joint does, are two stamps."""
+_START = {n: re.compile(rb"\s*-?\d{1,20}" + rb"\s+(\d{1,20}\.?\d{0,20})" * n) for n in (1, 2)}
 """Number and stamps of a line, by the number of its stamps."""
-_IMAGE = re.compile(rb"[\w.-]+\.(?:ppm|pgm|png|jpe?g|bmp|tiff?)\b", re.IGNORECASE)
-_FRAME = re.compile(rb"frame_\d+")
+_IMAGE = re.compile(rb"\s*([\w.-]+\.(?:ppm|pgm|png|jpe?g|bmp|tiff?))\b", re.IGNORECASE)
+_FRAME = re.compile(rb"\s*frame_\d+")
 _NUMBER = re.compile(rb"[+-]?(?:\d+\.?\d*(?:e[+-]?\d+)?|nan|inf)", re.IGNORECASE)
 _NOT_NUMBERS = re.compile(rb'"[^"]*"|\[[^\]]*\]|[()]')
 """Texts, words such as [ok], and the brackets of lists."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Log:
-    """A data.log of N whole lines."""
-
-    file: Path
-    text: bytes
-    begins: np.ndarray
-    """(N,) where the contents of the lines begin."""
-    ends: np.ndarray
-    """(N,) where they end."""
-    stamp_ns: np.ndarray
-    """(N,) when the message was sent, or received if only this was written."""
-    received_ns: np.ndarray
-    """(N,)"""
-
-    def __getitem__(self, k: int) -> bytes:
-        return self.text[self.begins[k] : self.ends[k]].strip()
-
-    def where(self, k: int) -> str:
-        return f"{self.file}, line {k + 1}"
 
 
 def recognise(path: Path) -> bool:
@@ -87,85 +64,82 @@ def open_recording(path: Path) -> Iterator[Recording]:
 
 
 def _port(root: Path, folder: Path, stack: ExitStack) -> Series:
-    name = folder.relative_to(root).as_posix() if folder != root else folder.resolve().name
+    within = folder.relative_to(root)
+    name = within.as_posix() if within.parts else folder.resolve().name
 
     def inside(file: str) -> Path:
-        return file_inside(
-            root, str(folder.relative_to(root) / file), str(folder / file), of="recording"
-        )
+        return file_inside(root, str(within / file), str(folder / file), of="recording")
 
     about = read_bytes(inside(INFO), 2**20).decode("utf-8", "replace")
-    type_name = "".join(re.findall(r"^Type:\s*(.*?);?\s*$", about, re.MULTILINE)[:1]) or "unknown"
-    log = _read_log(inside(DATA), "tx+rx" in about)
-    if log.text and not log.text.endswith(b"\n"):
+    type_name = "".join(re.findall(r"^Type:\s*(.*?);?\s*$", about, re.MULTILINE)[:1])
+    log, file = read_bytes(inside(DATA), MAX_LOG_BYTES), folder / DATA
+    if log and not log.endswith(b"\n"):
         type_name += ", without its last line, which is cut off"
-    count = len(log.ends)
+    times, ends = _stamps(log, "tx+rx" in about, file)
+    count = len(ends)
     if not count:
         return unused(name, f"{type_name}, empty")
 
-    def series(kind: Kind, content: Callable[[int], Content], rows: slice = slice(None)) -> Series:
-        stamps, received = log.stamp_ns[rows], log.received_ns[rows]
-        return Series(Channel(name, kind, type_name, len(stamps)), stamps, received, content)
+    def content(k: int) -> bytes:
+        return log[slice(*ends[k])]
 
-    if _IMAGE.match(log[0]):
-        return series("images", partial(_image, root, folder.relative_to(root), log))
-    if _FRAME.match(log[0]):
-        file = inside("video.avi" if "avi" in about else "video.mkv")
-        video = stack.enter_context(open_video(file))
+    def numbers(k: int) -> list[float]:
+        words = _NOT_NUMBERS.sub(b" ", content(k)).split()
+        return [float(word) for word in words if _NUMBER.fullmatch(word)]
+
+    def joints(names: tuple[str, ...], k: int) -> JointSample:
+        found = numbers(k)
+        if len(found) != len(names):
+            raise VergenceError(
+                f"{file}, line {k + 1}: {len(found)} numbers, but the first line has {len(names)}."
+            )
+        return readings(names, np.array(found))
+
+    def image(k: int) -> np.ndarray:
+        found, where = _IMAGE.match(content(k)), f"{file}, line {k + 1}"
+        if found is None:
+            raise VergenceError(f"{where}: an image is needed, found {content(k)[:60]!r}.")
+        return read_image(root, str(within / found[1].decode()), where)
+
+    kind: Kind = "images"
+    if _IMAGE.match(content(0)):
+        read = image
+    elif _FRAME.match(content(0)):
+        video = stack.enter_context(
+            open_video(inside("video.avi" if "avi" in about else "video.mkv"))
+        )
         frames = len(video.time_s)
-        codes = len(read_bytes(inside(TIMECODES), MAX_LOG_BYTES).split(b"\n")) - 2
+        codes = read_bytes(inside("timecodes.log"), MAX_LOG_BYTES).count(b"\n") - 1
         if not frames == codes <= count:
             raise VergenceError(
-                f"{file} has {counted(frames, 'frame')}, {DATA} has {count}, {TIMECODES} {codes}."
+                f"{folder}: the video has {counted(frames, 'frame')}, {DATA} {count}, and "
+                f"timecodes.log {codes}."
             )
         # The dumper writes images into the video from its second block of messages on.
-        return series("images", video.frame, slice(count - frames, None))
-    numbers = _numbers(log[0])
-    if not len(numbers):
+        times, read = times[count - frames :], video.frame
+    elif n := len(numbers(0)):
+        kind, read = "joints", partial(joints, tuple(f"{name}/{k}" for k in range(n)))
+    else:
         return unused(name, f"{type_name} without numbers", count)
-    names = tuple(f"{name}/{k}" for k in range(len(numbers)))
-    return series("joints", partial(_joints, log, names))
+    sent, received = (nanoseconds(column, "s", str(file)) for column in times.T)
+    return Series(Channel(name, kind, type_name, len(sent)), sent, received, read)
 
 
-def _read_log(file: Path, two_stamps: bool) -> _Log:
-    text = read_bytes(file, MAX_LOG_BYTES)
-    ends = np.flatnonzero(np.frombuffer(text, np.uint8) == ord("\n"))
-    begins = np.concatenate([[0], ends[:-1] + 1])[: len(ends)]
+def _stamps(log: bytes, two: bool, file: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Find the times (N, 2) [s] of sending and receiving, and where the N contents are (N, 2)."""
+    ends = np.flatnonzero(np.frombuffer(log, np.uint8) == ord("\n"))
+    within = np.stack([np.concatenate([[0], ends[:-1] + 1])[: len(ends)], ends], axis=-1)
     times = np.empty((len(ends), 2))
-    if len(ends) and (match := _BEGINNING[2].match(text, 0, int(ends[0]))):
+    if len(ends) and (match := _START[2].match(log, 0, int(ends[0]))):
         sent, received = float(match[1]), float(match[2])
-        two_stamps |= sent > 1e8 and abs(received - sent) < MAX_LATENCY_S
-    beginning = _BEGINNING[1 + two_stamps]
-    for k, (begin, end) in enumerate(zip(begins.tolist(), ends.tolist(), strict=True)):
-        match = beginning.match(text, begin, end)
+        two |= sent > 1e8 and abs(received - sent) < MAX_LATENCY_S
+    for k, (begin, end) in enumerate(within.tolist()):
+        match = _START[1 + two].match(log, begin, end)
         if match is None:
             raise VergenceError(
-                f"{file}, line {k + 1}: a number, {'two stamps' if two_stamps else 'a stamp'} in "
-                f"seconds and the content are needed, found {text[begin:end][:60]!r}."
+                f"{file}, line {k + 1}: a number, {'two stamps' if two else 'a stamp'} in "
+                f"seconds and the content are needed, found {log[begin:end][:60]!r}."
             )
-        times[k] = float(match[1]), float(match[1 + two_stamps])
-        begins[k] = match.end()
-    stamps = (nanoseconds(column, "s", str(file)) for column in times.T)
-    return _Log(file, text, begins, ends, *stamps)
-
-
-def _image(root: Path, folder: Path, log: _Log, k: int) -> np.ndarray:
-    match = _IMAGE.match(log[k])
-    if match is None:
-        raise VergenceError(f"{log.where(k)}: an image is needed, found {log[k][:60]!r}.")
-    return read_image(root, str(folder / match[0].decode()), log.where(k))
-
-
-def _numbers(content: bytes) -> list[float]:
-    words = _NOT_NUMBERS.sub(b" ", content).split()
-    return [float(word) for word in words if _NUMBER.fullmatch(word)]
-
-
-def _joints(log: _Log, names: tuple[str, ...], k: int) -> JointSample:
-    values = np.array(_numbers(log[k]))
-    if len(values) != len(names):
-        raise VergenceError(
-            f"{log.where(k)}: {len(values)} numbers, but the first line has {len(names)}."
-        )
-    known = np.isfinite(values)
-    return JointSample(tuple(np.array(names)[known]) if not known.all() else names, values[known])
+        times[k] = float(match[1]), float(match[1 + two])
+        within[k, 0] = match.end()
+    return times, within
