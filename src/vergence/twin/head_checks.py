@@ -12,12 +12,12 @@ from vergence.arrays import Array
 from vergence.errors import listed
 from vergence.findings import Finding, note, warning
 from vergence.geometry.head import base_pose, camera_pose_in_base
-from vergence.geometry.joints import PARALLEL
 from vergence.geometry.kinematics import eye_joint_angles
 from vergence.geometry.neck import head_pose
-from vergence.geometry.se3 import cross, inverse, pose
+from vergence.geometry.se3 import inverse, pose
 from vergence.twin.designed_head import DesignedHead
 from vergence.twin.head_file import HeadFile
+from vergence.twin.head_guess import turns_about_two
 from vergence.twin.model_chain import resting
 
 
@@ -89,8 +89,7 @@ def doubts(model: mujoco.MjModel, stated: HeadFile, found: DesignedHead) -> Iter
             f"The model states no resolution for {listed(small)}: 640 x 480 pixels are assumed.",
         )
     for eye in found.eyes:
-        axes = [joint.axis for joint in found.head.kinematics.eyes[eye]]
-        if not any(np.linalg.norm(cross(axes[0], axis)) > PARALLEL for axis in axes):
+        if not turns_about_two(joint.axis for joint in found.head.kinematics.eyes[eye]):
             yield warning(
                 "one-axis",
                 f"The {eye} eye turns about one axis: that does not determine where its camera is, "

@@ -25,6 +25,8 @@ NECK_JOINTS = 3
 SNAP = float(np.cos(np.radians(15)))
 """Cosine of the angle within which a direction is that of an axis of the base: cameras are often
 mounted a few degrees off."""
+LEAST_COMMON = 0.1
+"""Length of the mean of directions (unit vectors) below which they have none in common."""
 APART_M = 0.01
 """Distance across the head from which cameras on one part are two eyes [m]."""
 USUAL_FOV_DEG = 60.0
@@ -191,7 +193,7 @@ def _base(
         axes = _axes(model, {joint for path in paths for joint in path})
         taken = 0
         while taken < len(shared) and not all(
-            _turns_about_two(axes[joint] for joint in path[len(shared) - taken :]) for path in paths
+            turns_about_two(axes[joint] for joint in path[len(shared) - taken :]) for path in paths
         ):
             taken += 1
         first = {path[min(len(shared) - taken, len(path) - 1)] for path in paths}
@@ -207,9 +209,9 @@ def _axes(model: mujoco.MjModel, joints: Iterable[str]) -> dict[str, Array]:
     return {joint: data.joint(joint).xaxis.copy() for joint in joints}
 
 
-def _turns_about_two(axes: Iterable[Array]) -> bool:
+def turns_about_two(axes: Iterable[Array]) -> bool:
     """Check whether two of some axes are not parallel."""
-    return any(np.linalg.norm(np.cross(a, b)) > PARALLEL for a, b in combinations(axes, 2))
+    return any(np.linalg.norm(cross(a, b)) > PARALLEL for a, b in combinations(axes, 2))
 
 
 def _is_beyond(model: mujoco.MjModel, base: str, joint: str) -> bool:
@@ -228,7 +230,9 @@ def _directions(
     model's x.
     """
     assert stated.base is not None
-    before = model_chain(model, "world", stated.base, _hinges_before(model, stated.base))
+    hinge = mujoco.mjtJoint.mjJNT_HINGE
+    hinges = [model.joint(j).name for j in range(model.njnt) if model.jnt_type[j] == int(hinge)]
+    before = model_chain(model, "world", stated.base, hinges)
     forward, _, up = before.T_base_end[:3, :3]
     places = {_side_of(name): bodies[name][:3, 3] for name in stated.cameras}
     axes = [
@@ -241,14 +245,13 @@ def _directions(
         up = -down
     elif {"left", "right"} <= places.keys():
         forward = cross(places["left"] - places["right"], up)
+    if min(np.linalg.norm(forward), np.linalg.norm(up)) < LEAST_COMMON * max(len(axes), 1):
+        raise VergenceError(
+            f"The cameras of {stated.model} look in different directions; state where the head "
+            "looks, forward and up in head.toml."
+        )
     forward = _snapped(forward) if stated.forward is None else stated.forward
     return forward, _snapped(up) if stated.up is None else stated.up
-
-
-def _hinges_before(model: mujoco.MjModel, body: str) -> list[str]:
-    joints = joints_of(model, bodies_between(model, 0, model.body(body).id))
-    hinge = mujoco.mjtJoint.mjJNT_HINGE
-    return [model.joint(j).name for j in joints if model.jnt_type[j] == hinge]
 
 
 def _snapped(direction: Array) -> Array:

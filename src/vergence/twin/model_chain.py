@@ -18,8 +18,6 @@ from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.geometry.se3 import pose, rotation
 
-R_MJCAM_CAM = np.diag([1.0, -1.0, -1.0])
-"""From OpenCV's frame of a camera to MuJoCo's, which looks along -z with +y up."""
 _FREE, _BALL, _SLIDE, _HINGE = range(4)
 """MuJoCo's types of joints."""
 
