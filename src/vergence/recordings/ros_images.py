@@ -61,7 +61,10 @@ def raw_image(message: Any, where: str) -> np.ndarray:
             f"{where} has an image of {width} x {height} pixels and {len(data)} bytes in rows of "
             f"{step}; {message.encoding} needs {row_bytes} bytes a row."
         )
-    rows = np.lib.stride_tricks.as_strided(data, (height, row_bytes), (step, 1))
+    if step == row_bytes:
+        rows = data[: height * row_bytes]
+    else:
+        rows = np.lib.stride_tricks.as_strided(data, (height, row_bytes), (step, 1))
     image = np.ascontiguousarray(rows).view(dtype).reshape(height, width, channels)
     image = image.astype(kind, copy=False)
     image = image[:, :, 0] if channels == 1 else image

@@ -168,7 +168,13 @@ def scan(
 
 
 def _thumbnail(image: np.ndarray) -> np.ndarray:
-    """Shrink an image to THUMBNAIL_PX, grey, of float32 with mean 0 and deviation 1."""
+    """Shrink an image to THUMBNAIL_PX, grey, of float32 with mean 0 and deviation 1.
+
+    First by halves, for which OpenCV has code that is many times as fast.
+    """
+    while image.shape[1] >= 2 * THUMBNAIL_PX and image.shape[0] > 1:
+        half = image.shape[1] // 2, image.shape[0] // 2
+        image = cv2.resize(image, half, interpolation=cv2.INTER_AREA)
     width = min(THUMBNAIL_PX, image.shape[1])
     height = max(1, round(image.shape[0] * width / image.shape[1]))
     small = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
@@ -183,10 +189,10 @@ def _apparent_motion(last: np.ndarray, now: np.ndarray) -> float:
     In each tile it is the difference over the slope, for which a plain tile counts as an average
     one: there is only noise in it.
     """
-    squares = (now - last) ** 2
+    squares = cv2.multiply(change := cv2.subtract(now, last), change)
     slopes = np.zeros_like(now)
-    slopes[:, 1:] += np.diff(now, axis=1) ** 2
-    slopes[1:] += np.diff(now, axis=0) ** 2
+    for later, earlier in ((np.s_[:, 1:], np.s_[:, :-1]), (np.s_[1:], np.s_[:-1])):
+        slopes[later] += cv2.multiply(step := cv2.subtract(now[later], now[earlier]), step)
     squares, slopes = (
         cv2.resize(each, TILES, interpolation=cv2.INTER_AREA) for each in (squares, slopes)
     )
