@@ -134,27 +134,27 @@ def export_poses(
     """
     from vergence.data.description import DESCRIPTION
     from vergence.recordings.camera_poses import dataset_poses, recording_poses
-    from vergence.recordings.pose_files import WRITERS
+    from vergence.recordings.formats import open_recording
+    from vergence.recordings.mapped_scan import on_the_clock, scan_mapped
+    from vergence.recordings.pose_files import write_poses
     from vergence.recordings.recording_map import load_map
 
-    is_dataset = (recording / DESCRIPTION).is_file()
-    map = map or recording.parent / MAP
-    if format == "tf":
-        if out.exists():
-            raise VergenceError(f"{out} already exists; name another bag, or remove it.")
-    else:
-        check_outputs(out, inputs=[calibration, recording, None if is_dataset else map])
+    if format == "tf" and out.exists():
+        raise VergenceError(f"{out} already exists; name another bag, or remove it.")
+    check_outputs(None if format == "tf" else out, inputs=[calibration, recording, map])
     head = vg.load_head(calibration)
     with progress_bars() as progress:
-        if is_dataset:
+        if (recording / DESCRIPTION).is_file():
             poses = dataset_poses(vg.load_dataset(recording), head, progress=progress)
         else:
-            poses = recording_poses(recording, load_map(map), head, progress=progress)
-    WRITERS[format](poses, out)
-    text = [f"{counted(len(poses.camera), 'pose')} of {counted(len(poses.left_out), 'camera')}."]
-    text += [
-        f"{counted(count, 'image')} of {name} left out: no joint readings at the moment."
-        for name, count in poses.left_out.items()
-        if count
-    ]
-    return Report("Poses", (" ".join(text),), None, files=f"Wrote {out}.")
+            with open_recording(recording) as opened:
+                mapped = load_map(map or recording.parent / MAP)
+                scanned = scan_mapped(on_the_clock(opened, mapped), mapped, progress=progress)
+            poses = recording_poses(*scanned, mapped, head, progress=progress)
+    write_poses(poses, head, out, format)
+    text = "; ".join(
+        f"{counted(len(each.index), 'pose')} of {each.camera}, {counted(each.left_out, 'image')} "
+        "without joint readings at the moment"
+        for each in poses
+    )
+    return Report("Poses", (f"{text}.",), None, files=f"Wrote {out}.")
