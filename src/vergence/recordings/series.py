@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from heapq import merge
 from itertools import compress
 from pathlib import Path
 
@@ -16,78 +18,81 @@ from vergence.errors import VergenceError
 from vergence.files import file_inside, read_bytes
 from vergence.recordings.recording import Channel, Content, JointSample, Kind, Message, Recording
 
+MAX_FOLDERS = 1000
+"""Most folders of a recording; each camera or port has one."""
+
 
 @dataclass(frozen=True, eq=False)
 class Series:
     """The N messages of a channel."""
 
-    channel: Channel
+    name: str
+    kind: Kind
+    type: str
     stamp_ns: np.ndarray
     """(N,) of int64, in the order of the recording."""
-    received_ns: np.ndarray
-    """(N,) of int64."""
     content: Callable[[int], Content]
-    """Reads the content of a message by its index; VergenceError if it is damaged."""
+    """Reads a message by its index; VergenceError if it is damaged."""
+    received_ns: np.ndarray | None = None
+    """(N,) of int64; None: equal to the stamps."""
 
 
-def series(
-    name: str, kind: Kind, type_name: str, stamp_ns: np.ndarray, content: Callable[[int], Content]
-) -> Series:
-    """Make a series of a format with one time."""
-    return Series(Channel(name, kind, type_name, len(stamp_ns)), stamp_ns, stamp_ns, content)
+def unused(name: str, reason: str) -> Series:
+    """List a channel that cannot be used."""
+    return Series(name, "other", reason, np.zeros(0, np.int64), lambda index: ())
 
 
-def unused(name: str, type_name: str, count: int = 0) -> Series:
-    """List a channel whose content cannot be used; `type_name` says why."""
-    none = np.zeros(0, np.int64)
-    return Series(Channel(name, "other", type_name, count), none, none, lambda index: ())
-
-
-def recording_of(path: Path, every: Iterable[Series], what: str) -> Recording:
-    """Make a recording of the series of its channels; VergenceError if none can be used.
-
-    `what` names the format with its article.
-    """
+def recording_of(path: Path, every: Iterable[Series]) -> Recording:
+    """Make a recording of its series; VergenceError if none has images or joint readings."""
     every = list(every)
-    channels = {each.channel.name: each.channel for each in every}
-    if all(channel.kind == "other" for channel in channels.values()):
-        reasons = "; ".join(f"{name}: {each.type}" for name, each in channels.items())
-        raise VergenceError(f"{path} is {what} without images and joint readings: {reasons:.800}.")
+    if all(each.kind == "other" for each in every):
+        reasons = "; ".join(f"{each.name}: {each.type}" for each in every)
+        raise VergenceError(f"{path} has no images and no joint readings: {reasons:.800}.")
+    channels = {s.name: Channel(s.name, s.kind, s.type, len(s.stamp_ns)) for s in every}
     return Recording(path, channels, partial(_read, every))
 
 
 def _read(
-    every: Sequence[Series], names: Collection[str], start: int | None, stop: int | None
+    every: list[Series], names: Collection[str], start: int | None, stop: int | None
 ) -> Iterator[Message]:
-    chosen = [each for each in every if each.channel.name in names]
-    if not chosen:
-        return
-    received = np.concatenate([each.received_ns for each in chosen])
+    first, end = start or -(2**63), 2**63 - 1 if stop is None else stop
+
+    def messages(each: Series) -> Iterator[Message]:
+        received = each.stamp_ns if each.received_ns is None else each.received_ns
+        for k in np.flatnonzero((received >= first) & (received < end)).tolist():
+            content = partial(each.content, k)
+            yield Message(each.name, int(each.stamp_ns[k]), int(received[k]), content)
+
     # Messages of a channel keep their order, so that a clock that was set back can be seen.
-    latest = np.concatenate([np.maximum.accumulate(each.received_ns) for each in chosen])
-    lengths = [len(each.received_ns) for each in chosen]
-    of_series = np.repeat(np.arange(len(chosen)), lengths)
-    index = np.concatenate([np.arange(n) for n in lengths])
-    wanted = np.ones(len(received), bool)
-    wanted &= True if start is None else received >= start
-    wanted &= True if stop is None else received < stop
-    rows = np.flatnonzero(wanted)
-    for row in rows[np.argsort(latest[rows], kind="stable")]:
-        each, k = chosen[of_series[row]], int(index[row])
-        stamp_ns, received_ns = int(each.stamp_ns[k]), int(each.received_ns[k])
-        yield Message(each.channel.name, stamp_ns, received_ns, partial(each.content, k))
+    chosen = [messages(each) for each in every if each.name in names]
+    yield from merge(*chosen, key=lambda message: message.received_ns)
 
 
-def read_image(folder: Path, name: str, where: str) -> np.ndarray:
-    """Read an image file of a recording's folder; VergenceError if it is missing or damaged."""
-    file = file_inside(folder, name, where, of="recording")
+def files_in(root: Path) -> Iterator[Path]:
+    """List files by their path in a folder, 9.png before 10.png; links to folders are left out."""
+    for count, (folder, folders, names) in enumerate(os.walk(root)):
+        folders.sort()
+        if count == MAX_FOLDERS:
+            return
+        within = Path(folder).relative_to(root)
+        yield from (within / name for name in sorted(names, key=lambda n: (len(n), n)))
+
+
+def inside(root: Path, name: Path | str) -> Path:
+    """Find a file of a recording; VergenceError if it is missing or lies elsewhere."""
+    return file_inside(root, str(name), str(root / name)[:300], of="recording")
+
+
+def read_image(root: Path, names: Sequence[Path | str], k: int) -> np.ndarray:
+    """Read one of the image files of a recording; VergenceError if it is missing or damaged."""
+    file = inside(root, names[k])
     image = decode_image(read_bytes(file, MAX_IMAGE_BYTES))
     if image is None:
-        raise VergenceError(f"{where} {UNREADABLE}.")
+        raise VergenceError(f"{file} {UNREADABLE}.")
     return image
 
 
-def readings(names: tuple[str, ...], values: Array) -> JointSample:
-    """Take values (C,) as joint readings, but for those that are not finite."""
-    known = np.isfinite(values)
-    return JointSample(tuple(compress(names, known)), values[known])
+def readings(names: tuple[str, ...], values: Array, k: int) -> JointSample:
+    """Take row k of values (N, C) as joint readings, without those that are not finite."""
+    known = np.isfinite(values[k])
+    return JointSample(tuple(compress(names, known)), values[k][known])

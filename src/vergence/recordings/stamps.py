@@ -12,26 +12,15 @@ UNITS_NS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
 """Units of time [ns]."""
 SINCE_1970_S = 9.4e8, 4.2e9
 """Times [s] that count as seconds since 1970: of the years 2000 to 2100."""
-MAX_S = 9e9
-"""Latest time [s]; nanoseconds of 64 bits end after 292 years."""
 MAX_STEP_S = 20.0
-"""Longest usual time between successive stamps [s] if they do not count from 1970; still images
-are taken faster. From 1970 on an hour is allowed."""
-_NAMED = {
-    "s": ("s", "sec", "secs", "second", "seconds"),
-    "ms": ("ms", "msec", "millis", "milliseconds"),
-    "us": ("us", "usec", "micros", "microseconds"),
-    "ns": ("ns", "nsec", "nanos", "nanoseconds"),
-}
+"""Longest usual time [s] between successive stamps that do not count from 1970."""
+_UNIT = re.compile(r"(?:^|[^a-z])(nano|micro|milli|[num])?(s|secs?|seconds?)[^a-z]*$")
 
 
 def nanoseconds(values: np.ndarray, unit: str, where: str) -> np.ndarray:
-    """Convert stamps (N,) of int or float to int64 [ns].
-
-    VergenceError if one is not finite or too large.
-    """
+    """Convert stamps (N,) of int or float to int64 [ns]; VergenceError for impossible ones."""
     factor = UNITS_NS[unit]
-    possible = np.abs(values.astype(float)) <= MAX_S * 1e9 / factor
+    possible = np.abs(values.astype(float)) * factor < 2.0**63
     if not possible.all():
         k = int(np.argmin(possible))
         raise VergenceError(f"{where}: stamp {k + 1} is {values[k]}, not a time in {unit}.")
@@ -46,19 +35,15 @@ def recognise_unit(values: np.ndarray, name: str, where: str) -> str:
 
     VergenceError if they may as well be the numbers of frames.
     """
-    last = re.split(r"[^a-z]+", re.sub(r"[^a-z]+$", "", name.lower()))[-1]
-    for unit, words in _NAMED.items():
-        if last in words:
-            return unit
-    stamps = values.astype(float)
-    stamps = stamps[np.isfinite(stamps)]
-    if not len(stamps):
-        return "s"
-    middle, step = np.median(stamps), np.median(np.abs(np.diff(stamps))) if len(stamps) > 1 else 0.0
+    if match := _UNIT.search(name.lower()):
+        prefix = match[1] or ""
+        return {"micro": "us"}.get(prefix, prefix[:1] + "s")
+    stamps = values[np.isfinite(values)]
+    middle = np.median(stamps) if len(stamps) else 0.0
+    step = np.median(np.abs(np.diff(stamps))) if len(stamps) > 1 else 0.0
     earliest, latest = SINCE_1970_S
     for unit, factor in UNITS_NS.items():
-        second = 1e9 / factor
-        if earliest <= middle / second <= latest and step / second <= 3600:
+        if earliest <= middle * factor * 1e-9 <= latest and step * factor <= 3600e9:
             return unit
     if (stamps != np.rint(stamps)).any():
         return "s"

@@ -1,8 +1,8 @@
 """Read folders of tables: joints in csv, images in folders or videos, with their stamps.
 
-A csv needs a column of times. Its columns of numbers are joints, and its columns of file names are
-images. The stamps of a video, or of a folder of images, are in a csv that has its name or begins
-with it, such as left_stamps.csv of left.mp4; without one the names of images are their stamps.
+A csv needs a header and a column of times. Its columns of numbers are joints, and its columns of
+file names are images. The stamps of a video, or of a folder of images, are in a csv that has its
+name or begins with it, such as left_stamps.csv of left.mp4; else the names of images are stamps.
 """
 
 from __future__ import annotations
@@ -10,144 +10,180 @@ from __future__ import annotations
 import os
 import posixpath
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path, PurePosixPath
 
 import numpy as np
+import pyarrow
+from pyarrow import csv, types
 
-from vergence.errors import VergenceError, counted
-from vergence.files import file_inside
-from vergence.recordings.csv_table import IMAGE_SUFFIXES, CsvTable, read_csv
-from vergence.recordings.recording import JointSample, Recording
-from vergence.recordings.series import (
-    Series,
-    read_image,
-    readings,
-    recording_of,
-    series,
-    unused,
-)
+from vergence.arrays import Array
+from vergence.errors import VergenceError, explain
+from vergence.files import read_bytes
+from vergence.recordings import series
+from vergence.recordings.recording import Recording
+from vergence.recordings.series import Series
 from vergence.recordings.stamps import nanoseconds, recognise_unit
 from vergence.recordings.video import VIDEO_SUFFIXES, open_video
 
-MAX_FOLDERS = 1000
-"""Most folders of a recording; each camera has one."""
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".ppm", ".pgm", ".bmp", ".tif", ".tiff", ".webp")
+MAX_TABLE_BYTES, MAX_CELLS = 2**28, 30_000_000
+"""Largest csv [bytes, cells]; twenty joints at 100 Hz for three hours have 200 MB."""
+_TIME = re.compile(r"time|stamp|(^|[^a-z])(ts?|secs?|seconds|[mun]s)([^a-z]|$)")
 _STAMPS = r"([/_.-]?(time|stamp|frame)\w*)?"
 """What may follow the name of images in the name of a csv of their stamps."""
+_NUMBER = re.compile(r"\s*[+-]?\d+\.?\d*(e[+-]?\d+)?\s*", re.IGNORECASE)
 _LAST_NUMBER = re.compile(r"(\d{1,30}(?:\.\d{1,30})?)\D*$")
+
+
+@dataclass(frozen=True, eq=False)
+class _Table:
+    """A csv of N rows with C columns of numbers."""
+
+    unit: str
+    """Of its times, as it was recognised."""
+    stamp_ns: np.ndarray
+    """(N,)"""
+    names: tuple[str, ...]
+    """(C,)"""
+    values: Array
+    """(N, C), NaN where a cell is empty."""
+    files: dict[str, list[str | None]]
+    """By column names of image files (N,)."""
 
 
 def recognise(path: Path) -> bool:
     """Test whether a path is a csv, or a folder with one that is not a dataset."""
     if path.is_dir() and not (path / "dataset.json").exists():
-        return any(file.suffix.lower() == ".csv" for file in _files(path))
+        return any(file.suffix.lower() == ".csv" for file in series.files_in(path))
     return path.suffix.lower() == ".csv" and path.is_file()
-
-
-def _files(root: Path) -> Iterator[Path]:
-    """List the files of a folder, 9.png before 10.png; links to folders are not followed."""
-    for count, (folder, folders, names) in enumerate(os.walk(root)):
-        folders.sort()
-        if count == MAX_FOLDERS:
-            return
-        yield from (Path(folder) / name for name in sorted(names, key=lambda n: (len(n), n)))
 
 
 @contextmanager
 def open_recording(path: Path) -> Iterator[Recording]:
     """Open a folder of tables, or a csv; VergenceError if it is damaged."""
     root = path if path.is_dir() else path.parent
-    tables: dict[str, CsvTable] = {}
-    videos: dict[str, Path] = {}
-    folders: dict[str, list[str]] = {}
-    for file in _files(root) if root == path else [path]:
-        within, suffix = file.relative_to(root), file.suffix.lower()
-        name = within.with_suffix("").as_posix()
-        if suffix == ".csv":
-            tables[name] = read_csv(file_inside(root, str(within), str(file), of="recording"))
-        elif suffix in VIDEO_SUFFIXES:
-            videos[name] = file_inside(root, str(within), str(file), of="recording")
-        elif suffix in IMAGE_SUFFIXES:
-            folders.setdefault(within.parent.as_posix(), []).append(within.as_posix())
     with ExitStack() as stack:
-        yield recording_of(path, _series(root, tables, videos, folders, stack), "a recording")
+        files = series.files_in(root) if root == path else [Path(path.name)]
+        yield series.recording_of(path, _channels(root, files, stack))
 
 
-def _series(
-    root: Path,
-    tables: dict[str, CsvTable],
-    videos: dict[str, Path],
-    folders: dict[str, list[str]],
-    stack: ExitStack,
-) -> Iterator[Series]:
-    """Make channels of all images and joints; what is used up is taken from the dictionaries."""
+def _channels(root: Path, files: Iterable[Path], stack: ExitStack) -> Iterator[Series]:
+    """Make channels of all images and joints."""
+    tables: dict[str, _Table] = {}
+    images: dict[str, list[str]] = {}
+    for file in files:
+        name, suffix = file.with_suffix("").as_posix(), file.suffix.lower()
+        if suffix == ".csv":
+            if table := _read(series.inside(root, file)):
+                tables[name] = table
+            else:
+                yield series.unused(name, "a csv without a column of times")
+        elif suffix in VIDEO_SUFFIXES:
+            images[name] = [str(file)]
+        elif suffix in IMAGE_SUFFIXES:
+            images.setdefault(file.parent.as_posix(), []).append(file.as_posix())
     for name, table in tables.items():
-        for column in table.images:
-            files, rows = _listed(root, table, column)
-            for folder in {posixpath.dirname(file) or "." for file in files}:
-                folders.pop(folder, None)
+        for column, cells in table.files.items():
+            rows = np.flatnonzero([cell is not None for cell in cells])
+            listed = _listed(root, name, [str(cells[row]) for row in rows])
+            for folder in {posixpath.dirname(file) or "." for file in listed}:
+                images.pop(folder, None)
+            content = partial(series.read_image, root, listed)
             type_name = f"csv of files, times in {table.unit}"
-            content = partial(_image, root, files)
-            yield series(f"{name}/{column}", "images", type_name, table.stamp_ns[rows], content)
-    for name in (*videos, *folders):
+            yield Series(f"{name}/{column}", "images", type_name, table.stamp_ns[rows], content)
+    for name, shown in images.items():
         of_name = re.compile(re.escape(name) + _STAMPS)
-        own = next((n for n in tables if of_name.fullmatch(n) and not tables[n].images), None)
-        if own is None:
-            stampless = f"a csv of stamps is missing, such as {name}.csv"
-            yield unused(name, stampless) if name in videos else _named(root, name, folders[name])
+        own = next((n for n in tables if of_name.fullmatch(n) and not tables[n].files), None)
+        is_video = Path(shown[0]).suffix.lower() in VIDEO_SUFFIXES
+        try:
+            if own is not None:
+                table = tables.pop(own)
+                unit, stamps = table.unit, table.stamp_ns
+            elif is_video:
+                raise VergenceError(f"a csv of its stamps is missing, such as {name}.csv")
+            else:
+                unit, stamps = _stamps_in(shown)
+        except VergenceError as error:
+            yield series.unused(name, f"without stamps: {error}")
             continue
-        if name in videos:
-            video = stack.enter_context(open_video(videos[name]))
-            count, content = len(video.time_s), video.frame
-        else:
-            count, content = len(folders[name]), partial(_image, root, folders[name])
-        table = tables.pop(own)
-        if len(table.stamp_ns) != count:
-            stamps, images = counted(len(table.stamp_ns), "stamp"), counted(count, "image")
-            raise VergenceError(f"{table.file} has {stamps}, but {name} has {images}.")
-        yield series(name, "images", f"times in {table.unit}", table.stamp_ns, content)
+        count, content = len(shown), partial(series.read_image, root, shown)
+        if is_video:
+            times_s, content = stack.enter_context(open_video(series.inside(root, shown[0])))
+            count = len(times_s)
+        if len(stamps) != count:
+            raise VergenceError(f"{root / name} has {count} images, but {len(stamps)} stamps.")
+        yield Series(name, "images", f"times in {unit}", stamps, content)
     for name, table in tables.items():
         if table.names and len(table.values):
-            content = partial(_joints, table)
-            yield series(name, "joints", f"csv, times in {table.unit}", table.stamp_ns, content)
-        elif not table.images:
-            what = "column of times" if table.unit is None else "number"
-            yield unused(name, f"csv without a {what}")
+            content = partial(series.readings, table.names, table.values)
+            yield Series(name, "joints", f"csv, times in {table.unit}", table.stamp_ns, content)
+        elif not table.files:
+            yield series.unused(name, "a csv of times without numbers")
 
 
-def _joints(table: CsvTable, k: int) -> JointSample:
-    return readings(table.names, table.values[k])
+def _listed(root: Path, name: str, files: list[str]) -> list[str]:
+    """Find the paths of files that a csv names: in its folder, or in one of its own name."""
+    files = [file.replace("\\", "/") for file in files]
+    own = bool(files) and os.path.isfile(root / name / files[0])
+    base = name if own else posixpath.dirname(name)
+    return [posixpath.normpath(posixpath.join(base, file)) for file in files]
 
 
-def _image(root: Path, files: list[str], k: int) -> np.ndarray:
-    return read_image(root, files[k], f"{root}: image {files[k][:200]!r}")
-
-
-def _listed(root: Path, table: CsvTable, column: str) -> tuple[list[str], np.ndarray]:
-    """List the files in a column by their path from the root, and the rows that have one."""
-    rows = np.flatnonzero([cell is not None for cell in table.images[column]])
-    files = [str(table.images[column][row]).replace("\\", "/") for row in rows]
-    base = table.file.parent.relative_to(root.resolve())
-    inner = base / table.file.stem  # as for data.csv beside a folder data
-    if files and os.path.isfile(root / inner / files[0]):
-        base = inner
-    return [posixpath.normpath((base / file).as_posix()) for file in files], rows
-
-
-def _named(root: Path, name: str, files: list[str]) -> Series:
-    """Take the images of a folder with the stamps in their names."""
+def _stamps_in(files: list[str]) -> tuple[str, np.ndarray]:
+    """Find stamps (N,) [ns] in the names of images, and their unit; VergenceError without any."""
     found = [_LAST_NUMBER.search(PurePosixPath(file).stem) for file in files]
-    texts = [match[1] for match in found if match]
-    if len(texts) < len(files):
-        return unused(name, "images without stamps in their names or in a csv", len(files))
+    texts = [match[1] if match else "nan" for match in found]
     values = np.array([int(text) if text.isdecimal() else float(text) for text in texts])
+    where = PurePosixPath(files[0]).parent.as_posix()
+    unit = recognise_unit(values, "the number in the names of images", where)
+    return unit, nanoseconds(values, unit, where)
+
+
+def _read(file: Path) -> _Table | None:
+    """Read a csv with a header; None if it has no column of times.
+
+    VergenceError if it is damaged, too large, or has text among the numbers of a column.
+    """
+    content = read_bytes(file, MAX_TABLE_BYTES)
+    header = content[: content.find(b"\n") + 1 or None]
+    delimiter = max(b",;\t", key=header.count)
+    if content.count(b"\n") * (header.count(delimiter) + 1) > MAX_CELLS:
+        raise VergenceError(f"{file} is too large: at most {MAX_CELLS:,} cells are read.")
     try:
-        unit = recognise_unit(values, "the number in the names of images", str(root / name))
-        stamps = nanoseconds(values, unit, str(root / name))
-    except VergenceError as error:
-        return unused(name, f"images without stamps: {error}", len(files))
-    order = np.argsort(stamps, kind="stable")
-    content = partial(_image, root, [files[k] for k in order])
-    return series(name, "images", f"times in {unit} in their names", stamps[order], content)
+        table = csv.read_csv(
+            pyarrow.py_buffer(content),
+            read_options=csv.ReadOptions(use_threads=False),  # so that errors name the row
+            parse_options=csv.ParseOptions(delimiter=chr(delimiter)),
+            convert_options=csv.ConvertOptions(strings_can_be_null=True),
+        )
+    except (pyarrow.ArrowException, ValueError) as error:
+        raise VergenceError(f"{file} cannot be read as a csv: {explain(error)}.") from error
+    numbers: dict[str, Array] = {}
+    files: dict[str, list[str | None]] = {}
+    titles = [title.strip(" \t#%") for title in table.column_names]
+    if len(set(titles)) < len(titles):
+        raise VergenceError(f"{file} has two columns of one name.")
+    for name, column in zip(titles, table.columns, strict=True):
+        if types.is_integer(column.type) or types.is_floating(column.type):
+            numbers[name] = column.to_numpy()
+        elif types.is_string(column.type):
+            cells = column.to_pylist()
+            if any((cell or "").lower().endswith(IMAGE_SUFFIXES) for cell in cells):
+                files[name] = cells
+            elif any(_NUMBER.fullmatch(cell or "") for cell in cells):
+                text = next(cell for cell in cells if cell and not _NUMBER.fullmatch(cell))
+                where = f"row {cells.index(text) + 1} of column {name}"
+                raise VergenceError(f"{file} has {text!r:.60} among numbers, in {where}.")
+    times = [name for name in numbers if _TIME.search(name.lower())]
+    if not times:
+        return None
+    time = next((name for name in times if "stamp" in name.lower()), times[0])
+    unit = recognise_unit(numbers[time], time, str(file))
+    stamps = nanoseconds(numbers[time], unit, f"{file}: {time}")
+    names = tuple(name for name in numbers if name not in times)
+    values = np.array([numbers[name] for name in names], float).reshape(-1, len(stamps)).T
+    return _Table(unit, stamps, names, values, files)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,20 +21,13 @@ _OPTIONS = {
 """Containers only: FFmpeg's playlists name other files and addresses."""
 
 
-@dataclass(frozen=True, eq=False)
-class Video:
-    """An open video of N frames in the order in which they are shown."""
-
-    time_s: Array
-    """(N,) times of the frames in the video, increasing."""
-    frame: Callable[[int], np.ndarray]
-    """Decodes a frame (H, W, 3), RGB, or (H, W), by its index. VergenceError if it is damaged.
-    Successive frames are decoded once; others from the key frame before them."""
-
-
 @contextmanager
-def open_video(path: Path) -> Iterator[Video]:
-    """Open a video; VergenceError if it is damaged, or the package av is not installed."""
+def open_video(path: Path) -> Iterator[tuple[Array, Callable[[int], np.ndarray]]]:
+    """Open a video: times (N,) [s] of its frames, and what decodes a frame (H, W, 3) by its index.
+
+    Successive frames are decoded once, others from the key frame before them. VergenceError if it
+    is damaged, or the package av is not installed.
+    """
     try:
         import av
         from av.error import FFmpegError
@@ -71,7 +63,7 @@ def open_video(path: Path) -> Iterator[Video]:
                 for each in decoded:
                     following = int(np.searchsorted(pts, each.pts)) + 1
                     if following == wanted + 1:
-                        return _image(each)
+                        return each.to_ndarray(format="rgb24")
                     if following > wanted:
                         break
                 raise ValueError("it is not where the index of the file says")
@@ -80,25 +72,4 @@ def open_video(path: Path) -> Iterator[Video]:
                 where = f"{path}: frame {wanted} is damaged"
                 raise VergenceError(f"{where}: {explain(error)}.") from error
 
-        yield Video(pts.astype(float) * float(stream.time_base or 1), frame)
-
-
-def _image(frame: Any) -> np.ndarray:
-    grey = frame.format.name.startswith("gray")
-    deep = grey and frame.format.components[0].bits > 8
-    return frame.to_ndarray(format="gray16le" if deep else "gray" if grey else "rgb24")
-
-
-def open_latest(stack: ExitStack) -> Callable[[Path], Video]:
-    """Make a function that opens a video and keeps it open until it is asked for another."""
-    opened: dict[Path, Video] = {}
-    inner = stack.enter_context(ExitStack())
-
-    def get(path: Path) -> Video:
-        if path not in opened:
-            opened.clear()
-            inner.close()
-            opened[path] = inner.enter_context(open_video(path))
-        return opened[path]
-
-    return get
+        yield pts.astype(float) * float(stream.time_base or 1), frame

@@ -7,34 +7,30 @@ number of a frame. The k-th number of the Bottles of a port is the joint `port/k
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from vergence.errors import VergenceError, counted
-from vergence.files import file_inside, read_bytes
-from vergence.recordings.recording import Channel, JointSample, Kind, Recording
-from vergence.recordings.series import Series, read_image, readings, recording_of, unused
+from vergence.errors import VergenceError
+from vergence.files import read_bytes
+from vergence.recordings import series
+from vergence.recordings.recording import Content, Recording
+from vergence.recordings.series import Series
 from vergence.recordings.stamps import nanoseconds
 from vergence.recordings.video import open_video
 
 DATA, INFO = "data.log", "info.log"
-MAX_LOG_BYTES = 256 * 2**20
-"""Largest data.log [bytes]; six joints at 100 Hz for ten hours have 200 MB."""
-MAX_FOLDERS = 10_000
-"""Most folders among which ports are looked for; a robot has less than a hundred."""
+MAX_LOG_BYTES, MAX_LINES = 2**27, 3_000_000
+"""Largest data.log [bytes, lines]; six joints at 100 Hz for six hours have 120 MB in 2 million."""
 MAX_LATENCY_S = 60.0
 """Longest time [s] between sending and receiving. Two numbers that are closer, and count from 1970
 as no reading of a joint does, are two stamps."""
 _START = {n: re.compile(rb"\s*-?\d{1,20}" + rb"\s+(\d{1,20}\.?\d{0,20})" * n) for n in (1, 2)}
 """Number and stamps of a line, by the number of its stamps."""
 _IMAGE = re.compile(rb"\s*([\w.-]+\.(?:ppm|pgm|png|jpe?g|bmp|tiff?))\b", re.IGNORECASE)
-_FRAME = re.compile(rb"\s*frame_\d+")
 _NUMBER = re.compile(rb"[+-]?(?:\d+\.?\d*(?:e[+-]?\d+)?|nan|inf)", re.IGNORECASE)
 _NOT_NUMBERS = re.compile(rb'"[^"]*"|\[[^\]]*\]|[()]')
 """Texts, words such as [ok], and the brackets of lists."""
@@ -42,104 +38,74 @@ _NOT_NUMBERS = re.compile(rb'"[^"]*"|\[[^\]]*\]|[()]')
 
 def recognise(path: Path) -> bool:
     """Test whether a folder or one inside it is a port's."""
-    return next(_ports(path), None) is not None
+    return bool(_ports(path))
 
 
-def _ports(path: Path) -> Iterator[Path]:
-    """Find the folders of ports; links to folders are not followed."""
-    for count, (folder, folders, files) in enumerate(os.walk(path)):
-        folders.sort()
-        if count == MAX_FOLDERS:
-            return
-        if DATA in files and INFO in files:
-            yield Path(folder)
+def _ports(root: Path) -> list[Path]:
+    files = set(series.files_in(root))
+    return sorted(p.parent for p in files if p.name == DATA and p.parent / INFO in files)
 
 
 @contextmanager
 def open_recording(path: Path) -> Iterator[Recording]:
     """Open a folder of ports, or that of one; VergenceError if it is damaged."""
     with ExitStack() as stack:
-        series = [_port(path, folder, stack) for folder in _ports(path)]
-        yield recording_of(path, series, "a YARP recording")
+        yield series.recording_of(path, [_port(path, port, stack) for port in _ports(path)])
 
 
-def _port(root: Path, folder: Path, stack: ExitStack) -> Series:
-    within = folder.relative_to(root)
-    name = within.as_posix() if within.parts else folder.resolve().name
-
-    def inside(file: str) -> Path:
-        return file_inside(root, str(within / file), str(folder / file), of="recording")
-
-    about = read_bytes(inside(INFO), 2**20).decode("utf-8", "replace")
-    type_name = "".join(re.findall(r"^Type:\s*(.*?);?\s*$", about, re.MULTILINE)[:1])
-    log, file = read_bytes(inside(DATA), MAX_LOG_BYTES), folder / DATA
-    if log and not log.endswith(b"\n"):
-        type_name += ", without its last line, which is cut off"
-    times, ends = _stamps(log, "tx+rx" in about, file)
-    count = len(ends)
-    if not count:
-        return unused(name, f"{type_name}, empty")
-
-    def content(k: int) -> bytes:
-        return log[slice(*ends[k])]
+def _port(root: Path, port: Path, stack: ExitStack) -> Series:
+    name = port.as_posix() if port.parts else root.resolve().name
+    about = read_bytes(series.inside(root, port / INFO), 2**20).decode("utf-8", "replace")
+    file = series.inside(root, port / DATA)
+    log = read_bytes(file, MAX_LOG_BYTES)
+    if log.count(b"\n") > MAX_LINES:
+        raise VergenceError(f"{file} is too large: at most {MAX_LINES:,} lines are read.")
+    *lines, rest = log.split(b"\n")
+    sent, received, texts = _lines(file, lines, "tx+rx" in about)
+    type_name = about.partition("\n")[0].removeprefix("Type:").strip(" ;\r")
+    type_name += ", without its last line, which is cut off" if rest else ""
 
     def numbers(k: int) -> list[float]:
-        words = _NOT_NUMBERS.sub(b" ", content(k)).split()
+        words = _NOT_NUMBERS.sub(b" ", texts[k]).split()
         return [float(word) for word in words if _NUMBER.fullmatch(word)]
 
-    def joints(names: tuple[str, ...], k: int) -> JointSample:
-        found = numbers(k)
-        if len(found) != len(names):
-            raise VergenceError(
-                f"{file}, line {k + 1}: {len(found)} numbers, but the first line has {len(names)}."
-            )
-        return readings(names, np.array(found))
+    def joints(k: int) -> Content:
+        if len(values := numbers(k)) != len(names):
+            raise VergenceError(f"{file}, line {k + 1} has other numbers than the first line.")
+        return series.readings(names, np.array([values]), 0)
 
-    def image(k: int) -> np.ndarray:
-        found, where = _IMAGE.match(content(k)), f"{file}, line {k + 1}"
-        if found is None:
-            raise VergenceError(f"{where}: an image is needed, found {content(k)[:60]!r}.")
-        return read_image(root, str(within / found[1].decode()), where)
+    def image(k: int) -> Content:
+        if (match := _IMAGE.match(texts[k])) is None:
+            raise VergenceError(f"{file}, line {k + 1} has no image, as the first line has.")
+        return series.read_image(root, [port / match[1].decode()], 0)
 
-    kind: Kind = "images"
-    if _IMAGE.match(content(0)):
-        read = image
-    elif _FRAME.match(content(0)):
-        video = stack.enter_context(
-            open_video(inside("video.avi" if "avi" in about else "video.mkv"))
-        )
-        frames = len(video.time_s)
-        codes = read_bytes(inside("timecodes.log"), MAX_LOG_BYTES).count(b"\n") - 1
-        if not frames == codes <= count:
-            raise VergenceError(
-                f"{folder}: the video has {counted(frames, 'frame')}, {DATA} {count}, and "
-                f"timecodes.log {codes}."
-            )
-        # The dumper writes images into the video from its second block of messages on.
-        times, read = times[count - frames :], video.frame
-    elif n := len(numbers(0)):
-        kind, read = "joints", partial(joints, tuple(f"{name}/{k}" for k in range(n)))
-    else:
-        return unused(name, f"{type_name} without numbers", count)
-    sent, received = (nanoseconds(column, "s", str(file)) for column in times.T)
-    return Series(Channel(name, kind, type_name, len(sent)), sent, received, read)
+    if lines and _IMAGE.match(texts[0]):
+        return Series(name, "images", type_name, sent, image, received)
+    if names := tuple(f"{name}/{k}" for k in range(len(numbers(0) if lines else ()))):
+        return Series(name, "joints", type_name, sent, joints, received)
+    if "Video" not in about:
+        return series.unused(name, f"{type_name}, without numbers or images")
+    name_of_video = "video.avi" if "avi" in about else "video.mkv"
+    times_s, frame = stack.enter_context(open_video(series.inside(root, port / name_of_video)))
+    # The dumper writes images into the video from its second block of messages on.
+    codes = read_bytes(series.inside(root, port / "timecodes.log"), MAX_LOG_BYTES).count(b"\n") - 1
+    if not len(times_s) <= codes <= len(lines):
+        raise VergenceError(f"{file.parent} has more frames in its video than time codes.")
+    rows = slice(len(lines) - codes, len(lines) - codes + len(times_s))
+    return Series(name, "images", type_name, sent[rows], frame, received[rows])
 
 
-def _stamps(log: bytes, two: bool, file: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Find the times (N, 2) [s] of sending and receiving, and where the N contents are (N, 2)."""
-    ends = np.flatnonzero(np.frombuffer(log, np.uint8) == ord("\n"))
-    within = np.stack([np.concatenate([[0], ends[:-1] + 1])[: len(ends)], ends], axis=-1)
-    times = np.empty((len(ends), 2))
-    if len(ends) and (match := _START[2].match(log, 0, int(ends[0]))):
+def _lines(file: Path, lines: list[bytes], two: bool) -> tuple[np.ndarray, np.ndarray, list[bytes]]:
+    """Split lines into the times of sending and of receipt [ns] and their contents."""
+    if lines and (match := _START[2].match(lines[0])):
         sent, received = float(match[1]), float(match[2])
         two |= sent > 1e8 and abs(received - sent) < MAX_LATENCY_S
-    for k, (begin, end) in enumerate(within.tolist()):
-        match = _START[1 + two].match(log, begin, end)
-        if match is None:
-            raise VergenceError(
-                f"{file}, line {k + 1}: a number, {'two stamps' if two else 'a stamp'} in "
-                f"seconds and the content are needed, found {log[begin:end][:60]!r}."
-            )
-        times[k] = float(match[1]), float(match[1 + two])
-        within[k, 0] = match.end()
-    return times, within
+    times, texts = np.empty((2, len(lines))), []
+    for k, line in enumerate(lines):
+        if (match := _START[1 + two].match(line)) is None:
+            needed = f"a number, {'two stamps' if two else 'a stamp'} in seconds and the content"
+            raise VergenceError(f"{file}, line {k + 1}: {needed} are needed, found {line[:60]!r}.")
+        times[:, k] = float(match[1]), float(match[1 + two])
+        texts.append(line[match.end() :])
+    sent, received = (nanoseconds(each, "s", str(file)) for each in times)
+    return sent, received, texts
