@@ -19,8 +19,8 @@ from vergence.files import file_inside, read_bytes
 MAX_CHUNK_BYTES = 2**28
 """Largest part of a bag that is held in memory [bytes]; an image of 50 million pixels has 150 MB,
 and recorders write parts of 1 to 4 MB."""
-MAX_METADATA_BYTES = 2**20
-"""Largest metadata.yaml [bytes]; one of 500 topics has 400 kB."""
+MAX_METADATA_BYTES = 2**19
+"""Largest metadata.yaml [bytes]; one of 500 topics has 400 kB, which the library parses in 3 s."""
 METADATA = "metadata.yaml"
 zstd: Any = storage_mcap.zstd  # a module of Python or a package, by the version of Python
 
