@@ -1,13 +1,11 @@
 """A head that looks at a board, drawn, as bags of ROS hold it: no MuJoCo."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
 
 from recordings import texture
 from vergence.arrays import Array
@@ -15,13 +13,15 @@ from vergence.geometry.board import Chessboard
 from vergence.geometry.camera import pinhole
 from vergence.geometry.head import R_EYE_CAM, HeadCalibration, MountedCamera, camera_pose_in_base
 from vergence.geometry.se3 import inverse, pose, rotation
+from vergence.recordings.bag import message, write_bag
+from vergence.recordings.recording import JointSample, Message
 
 BOARD = Chessboard(columns=7, rows=6, square_m=0.03)
 SIZE = 320, 240
 START_NS = 1_700_000_000_123_456_789
 IMAGE_NS, JOINT_NS = 100_000_000, 10_300_000
 """Periods of images and of readings [ns]."""
-STORE = get_typestore(Stores.ROS2_HUMBLE)
+See = Callable[[HeadCalibration, str, Array], np.ndarray]
 TOPICS = {"left_wide": "/stereo/left/image_raw", "right_wide": "/stereo/right/image_raw"}
 MAP = """
 [cameras.left_wide]
@@ -129,66 +129,38 @@ def draw(head: HeadCalibration, camera: str, angles: Array, T_lbase_target: Arra
     return cv2.GaussianBlur(image, (0, 0), 0.5)
 
 
-Message = tuple[str, int, object]
-"""Topic, time of receipt [ns], message."""
+def messages(
+    session: Session, head: HeadCalibration, *, see: See | None = None, noise: float = 1.0
+) -> list[Message]:
+    """Return what the head records: angles in degrees, pans and tilts on two topics.
 
-
-def header(stamp_ns: int, frame: str = "") -> object:
-    """Return a header of ROS 2."""
-    time = STORE.types["builtin_interfaces/msg/Time"](stamp_ns // 10**9, stamp_ns % 10**9)
-    return STORE.types["std_msgs/msg/Header"](time, frame)
-
-
-def image_message(image: np.ndarray, stamp_ns: int) -> object:
-    """Return an Image of a grey one."""
-    height, width = image.shape
-    return STORE.types["sensor_msgs/msg/Image"](
-        header(stamp_ns), height, width, "mono8", 0, width, image.reshape(-1)
-    )
-
-
-def joints_message(values: Mapping[str, float], stamp_ns: int) -> object:
-    """Return a JointState."""
-    none = np.zeros(0)
-    return STORE.types["sensor_msgs/msg/JointState"](
-        header(stamp_ns), list(values), np.array([*values.values()]), none, none
-    )
-
-
-def messages(session: Session, head: HeadCalibration) -> list[Message]:
-    """Return what the head records: angles in degrees, eyes and their tilts on two topics.
-
-    Messages are received 20 ms after their stamp, those of joints 2 ms.
+    Images are received 20 ms after their stamp, joints 2 ms. `see` draws other things than the
+    board.
     """
-    found: list[Message] = []
-    for k in range(session.end_ns // IMAGE_NS + 1):
-        t = k * IMAGE_NS
+    rng, found = np.random.default_rng(0), []
+    for t in range(0, session.end_ns + 1, IMAGE_NS):
         for camera, topic in TOPICS.items():
-            image = draw(head, camera, session.angles_at(t), session.board_at(t))
-            stamp = START_NS + t
-            found.append((topic, stamp + 20_000_000, image_message(image, stamp)))
-    for k in range(-3, session.end_ns // JOINT_NS + 3):
-        t = k * JOINT_NS
+            if see is None:
+                image = draw(head, camera, session.angles_at(t), session.board_at(t))
+            else:
+                image = see(head, camera, session.angles_at(t))
+            noisy = image + rng.normal(0, noise, image.shape)
+            image = np.round(noisy).clip(0, 255).astype(np.uint8)
+            received_ns = START_NS + t + 20_000_000
+            found.append(message(topic, START_NS + t, image, received_ns=received_ns))
+    for t in range(-3 * JOINT_NS, session.end_ns + 3 * JOINT_NS, JOINT_NS):
         angles = np.degrees(session.angles_at(max(0, t)))
-        stamp = START_NS + t
         pan = {"l_eye_pan": angles[0], "r_eye_pan": -angles[2], "jaw": 3.0}
         tilt = {"r_eye_tilt": angles[3], "l_eye_tilt": angles[1]}
         for topic, values in (("/pans/joint_states", pan), ("/tilts/joint_states", tilt)):
-            found.append((topic, stamp + 2_000_000, joints_message(values, stamp)))
-    return sorted(found, key=lambda each: each[1])
+            sample = JointSample(tuple(values), np.array([*values.values()]))
+            received_ns = START_NS + t + 2_000_000
+            found.append(message(topic, START_NS + t, sample, received_ns=received_ns))
+    return sorted(found, key=lambda each: each.received_ns)
 
 
-def write_bag(
-    folder: Path,
-    content: list[Message],
-    *,
-    change: Callable[[Message], Message] = lambda message: message,
-) -> None:
-    """Write messages into a bag of ROS 2 in MCAP."""
-    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        connections = {}
-        for topic, received_ns, message in map(change, content):
-            kind = message.__msgtype__  # type: ignore[attr-defined]
-            if topic not in connections:
-                connections[topic] = writer.add_connection(topic, kind, typestore=STORE)
-            writer.write(connections[topic], received_ns, STORE.serialize_cdr(message, kind))
+def write_mcap(path: Path, content: list[Message]) -> None:
+    """Write messages into a single file, as robots record that have no ROS."""
+    write_bag(path.with_suffix(".bag"), content)
+    (file,) = path.with_suffix(".bag").glob("*.mcap")
+    file.rename(path)

@@ -131,6 +131,7 @@ def _observe(data: Dataset | Observations, method: Method, progress: Progress) -
         raise VergenceError(f"method is {' or '.join(get_args(Method))}, found {method!r}.")
     if isinstance(data, Observations):
         return data
+    _ = data.board  # VergenceError without one
     if data.moving.all():
         raise VergenceError(
             f"{data.folder} has moving rows only; the calibration starts from views in which "

@@ -193,11 +193,12 @@ def _steepness(grey: np.ndarray) -> float:
 def _without_repeats(dataset: Dataset, seen: list[_Detection]) -> list[_Detection]:
     """Return the detections; those in pictures that a camera gave before count as failures.
 
-    Pictures without a board may be alike: of a covered lens, all are black.
+    Of a picture at rest and in motion the one at rest counts. Pictures without a board may be
+    alike: of a covered lens, all are black.
     """
     first: dict[bytes, _Detection] = {}
     kept = []
-    for each in seen:
+    for each in sorted(seen, key=lambda each: bool(dataset.moving[each.row])):
         before = each if each.corners is None else first.setdefault(each.digest, each)
         if before.camera != each.camera:
             raise VergenceError(

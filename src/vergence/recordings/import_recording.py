@@ -6,7 +6,7 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -70,18 +70,17 @@ def import_recording(
         findings = (*findings, *_check_readings(moments, mapped))
         channels = {name: source.images for name, source in mapped.cameras.items()}
         again = partial(read_images, recording, scanned.images, channels, moments)
-        if description.board is None:
-            chosen, placement = _all_frames(moments), None
-        else:
-            chosen = choose_frames(moments, mapped.frames)
-            chosen = _take(chosen, moments.known[chosen.rows])
+        found = mapped.frames.moving is None and description.board is None
+        chosen = _all_frames(moments) if found else choose_frames(moments, mapped.frames)
+        placement = None
+        if description.board is not None:
             corners = _corners(description.board, channels, again, chosen.rows, progress)
-            seen = np.any([np.isfinite(uv).any(axis=(1, 2)) for uv in corners.values()], axis=0)
-            if not seen.any():
+            if not any(np.isfinite(uv).any() for uv in corners.values()):
                 raise VergenceError(f"{path}: {_why_no_board(description.board, again, chosen)}.")
             placement = number_placements(description, moments, chosen, corners, mapped.frames)
-            shown = _with_board(moments, chosen, seen & (placement >= 0))
-            chosen, placement = _take(chosen, shown), placement[shown]
+            kept = placement >= 0
+            chosen = ChosenFrames(chosen.rows[kept], chosen.moving[kept])
+            placement = placement[kept]
 
         def rows() -> Iterator[DatasetRow]:
             for k, images in enumerate(again(chosen.rows)):
@@ -125,12 +124,11 @@ def _check_readings(moments: Moments, mapped: RecordingMap) -> Iterator[Finding]
         )
 
 
-def _take(chosen: ChosenFrames, kept: np.ndarray) -> ChosenFrames:
-    return replace(chosen, rows=chosen.rows[kept], moving=chosen.moving[kept])
-
-
 def _all_frames(moments: Moments) -> ChosenFrames:
-    """Choose all moments with readings and images of all cameras; those in motion if there are."""
+    """Choose the moments with readings and images of all cameras; in motion if the eyes move.
+
+    In motion, those with too few neighbours in sequence are left out.
+    """
     whole = moments.known & np.all([rows >= 0 for rows in moments.images.values()], axis=0)
     rows = np.flatnonzero(whole)
     if not len(rows):
@@ -138,29 +136,11 @@ def _all_frames(moments: Moments) -> ChosenFrames:
             "The cameras of the map have no images of one moment: their stamps are of other times."
         )
     posture = moments.eye_angles if moments.T_base_eye is None else moments.T_base_eye
-    steps = np.abs(np.diff(posture[rows].reshape(len(rows), -1), axis=0)).max(axis=1, initial=0.0)
-    turns = np.concatenate([[False], steps > STILL])
-    chosen = ChosenFrames(rows, turns | np.append(turns[1:], False))
-    return _take(chosen, _with_board(moments, chosen, chosen.moving if turns.any() else ~turns))
-
-
-def _with_board(moments: Moments, chosen: ChosenFrames, seen: np.ndarray) -> np.ndarray:
-    """Select the frames (F,) at rest that show the board, and motions that do.
-
-    A motion goes from the first frame that shows the board to the last one, and has LEAST_MOVING
-    frames in sequence or more.
-    """
-    kept = seen.copy()
-    late = np.diff(moments.time_ns[chosen.rows], prepend=-(10**18)) > moments.gap_s * 1e9
-    begins = chosen.moving & (late | ~np.concatenate([[False], chosen.moving[:-1]]))
-    run = np.cumsum(begins) * chosen.moving
-    for number in range(1, run.max(initial=0) + 1):
-        rows = np.flatnonzero(run == number)
-        shown = rows[seen[rows]]
-        kept[rows] = False
-        if len(shown) and shown[-1] - shown[0] + 1 >= LEAST_MOVING:
-            kept[shown[0] : shown[-1] + 1] = True
-    return kept
+    moving = bool(np.ptp(posture[rows], axis=0).max(initial=0.0) > STILL)
+    late = np.diff(moments.time_ns[rows], prepend=moments.time_ns[rows[0]]) > moments.gap_s * 1e9
+    run = np.cumsum(late)
+    rows = rows[(np.bincount(run)[run] >= LEAST_MOVING) | (not moving)]
+    return ChosenFrames(rows, np.full(len(rows), moving))
 
 
 def _corners(
