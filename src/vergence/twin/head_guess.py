@@ -243,6 +243,12 @@ def _directions(
     if axes:
         _, down, forward = sum(axes, np.zeros((3, 3))).T
         up = -down
+        least = LEAST_COMMON * len(axes)
+        if stated.forward is None and min(map(np.linalg.norm, (forward, up))) < least:
+            raise VergenceError(
+                f"The cameras of {stated.model} look in different directions; state where the head "
+                "looks, forward and up in head.toml."
+            )
     elif {"left", "right"} <= places.keys():
         forward = cross(places["left"] - places["right"], up)
     if min(np.linalg.norm(forward), np.linalg.norm(up)) < LEAST_COMMON * max(len(axes), 1):
