@@ -1,12 +1,8 @@
-"""Record a head of a model that moves.
-
-The world is frame head as it stands with a straight neck. The robot's bodies are below
-/world/robot.
-"""
+"""Record a head of a model that moves; the world is frame head with a straight neck."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,56 +13,53 @@ import rerun.blueprint as rrb
 
 from vergence.geometry.head import HeadCalibration, base_pose
 from vergence.geometry.kinematics import EYES, eye_pose
+from vergence.geometry.neck import head_pose
+from vergence.geometry.se3 import inverse
 from vergence.viewer import style
 from vergence.viewer.layouts import curves_view, playing, report_view, view_3d
-from vergence.viewer.plots.head import AXIS_M, head_moved, joint_axes
-from vergence.viewer.recording import log_curve, log_report, recording_file, set_time, time_columns
+from vergence.viewer.recording import log_report, recording_file, set_time
 from vergence.viewer.shapes import placed
 
 if TYPE_CHECKING:  # the twin, and with it mujoco, is not needed to record a real head
     from vergence.twin.appearance import VisualGeom
-    from vergence.twin.head_sweep import Sweep
+    from vergence.twin.head_views import View
 
 STEP_S = 0.1
 """Time between postures of the recording [s]."""
 
 
 def record_head(
-    path: Path, head: HeadCalibration, geoms: Sequence[VisualGeom], moved: Sweep, report: str
+    path: Path,
+    head: HeadCalibration,
+    geoms: Sequence[VisualGeom],
+    views: Iterable[View],
+    joints: Sequence[str],
+    report: str,
 ) -> None:
-    """Write a recording of a head that moves; VergenceError if the file cannot be written."""
-    space = view_3d(
-        "the head, the axes of its joints and the views of its cameras",
-        middle=np.array([0.05, 0.0, 0.0]),
-        eye=np.array([0.45, 0.45, 0.25]),
-    )
+    """Write a recording of a head that moves; VergenceError if the file cannot be written.
+
+    `joints` are the names of the axes of a view.
+    """
+    near, far = np.array([0.05, 0.0, 0.0]), np.array([0.45, 0.45, 0.25])
+    space = view_3d("the head, axes of its joints and views of its cameras", middle=near, eye=far)
     curves = curves_view("neck and readings of the eyes [rad]", "joints")
     layout = playing(rrb.Horizontal(space, rrb.Vertical(curves, report_view())), speed=1.0)
-    inside = [replace(geom, body=f"robot/{_part(geom.body)}") for geom in geoms]
+    part, names = rr.escape_entity_path_part, [*head.neck.names, *head.kinematics.readings]
+    inside = [replace(geom, body=f"robot/{part(geom.body)}") for geom in geoms]
     with recording_file(path, "head", layout, head, inside) as rec:
-        for k, (readings, neck) in enumerate(zip(moved.readings, moved.neck, strict=True)):
+        for k, view in enumerate(views):
             set_time(rec, STEP_S * k, k)
             for body in {geom.body for geom in geoms}:
-                rec.log(f"world/robot/{_part(body)}", placed(moved.bodies[body][k]))
-            T_head = head_moved(head, neck)
+                rec.log(f"world/robot/{part(body)}", placed(view.bodies[body]))
+            T_head = inverse(head_pose(head.neck, 0 * view.neck)) @ head_pose(head.neck, view.neck)
             for eye in EYES:
-                T = T_head @ base_pose(head, eye) @ eye_pose(head.kinematics, eye, readings)
+                T = T_head @ base_pose(head, eye) @ eye_pose(head.kinematics, eye, view.readings)
                 rec.log(f"world/{eye}_eye", placed(T))
-            names, points, axes = joint_axes(head, readings, neck)
-            arrows = rr.Arrows3D(
-                origins=points - AXIS_M / 2 * axes, vectors=AXIS_M * axes, labels=names
-            )
-            rec.log("world/axes", arrows)
-            seen = moved.points[[k]][np.isfinite(moved.points[[k]]).all(axis=1)]
-            rec.log("world/object", rr.Points3D(seen, radii=0.01, colors=style.AXIS_COLOURS["z"]))
-        number = np.arange(len(moved.neck))
-        times = time_columns(STEP_S * number.astype(float), number)
-        names = [*head.neck.names, *head.kinematics.readings]
-        for name, values in zip(names, np.hstack([moved.neck, moved.readings]).T, strict=True):
-            log_curve(rec, f"joints/{_part(name)}", times, values)
+            start, end = view.axes[:, 0], view.axes[:, 1]
+            rec.log("world/axes", rr.Arrows3D(origins=start, vectors=end - start, labels=joints))
+            for name, angle in zip(names, [*view.neck, *view.readings], strict=True):
+                rec.log(f"joints/{part(name)}", rr.Scalars(angle))
+            if np.isfinite(view.point).all():
+                red = style.AXIS_COLOURS["z"]
+                rec.log("world/object", rr.Points3D(view.point, radii=0.01, colors=red))
         log_report(rec, report)
-
-
-def _part(name: str) -> str:
-    """Make a part of an entity's path."""
-    return rr.escape_entity_path_part(name)
