@@ -140,10 +140,13 @@ def designed_head(
 
 def axes_along(forward: Array, up: Array) -> Array:
     """Make the rotation (3, 3) of axes x along `forward` and z as near to `up` as possible."""
+    if np.linalg.norm(np.cross(forward, up)) < 1e-6:
+        raise VergenceError(
+            f"A head looks along forward, and up is another direction; found {forward} and {up}. "
+            "State them in head.toml."
+        )
     x = forward / np.linalg.norm(forward)
     z = up - up @ x * x
-    if np.linalg.norm(z) < 1e-6 * np.linalg.norm(up):
-        raise VergenceError(f"forward and up are two directions; found {forward} and {up}.")
     z = z / np.linalg.norm(z)
     return np.stack([x, np.cross(z, x), z], axis=1)
 

@@ -211,11 +211,12 @@ def _sides(
 
     `parts` are by camera the last joint that moves it, `places` how far to the left it is [m].
     """
-    sides = {n: camera.eye or _side_of(camera.camera or n) for n, camera in cameras.items()}
+    sides: dict[str, Side | None] = {
+        n: camera.eye or _side_of(camera.camera or n) for n, camera in cameras.items()
+    }
     groups = {part: [n for n in cameras if parts[n] == part] for part in parts.values()}
     if None not in sides.values() and (len(groups) != 2 or len({*sides.values()}) == 2):
-        named: dict[str, Side] = {n: side for n, side in sides.items() if side is not None}
-        return named
+        return {name: side for name, side in sides.items() if side is not None}
     if len(groups) > 2:
         raise VergenceError(
             f"{stated.model} has cameras on {len(groups)} parts: {listed([*cameras])[:300]}; name "
