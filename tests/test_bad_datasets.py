@@ -98,7 +98,7 @@ def test_links_that_leave_the_folder_are_refused(folder):
         ({"cameras.left_wide.widht": 32}, "widht: unknown field; perhaps width is meant"),
         ({"board.square": 0.03}, "board.square: unknown field; perhaps square_m is meant"),
         ({"board.kind": None}, "board: Unable to extract tag"),
-        ({"board.kind": "aprilgrid"}, "board: Input tag 'aprilgrid' found using 'kind' does not"),
+        ({"board.kind": "dots"}, "board: Input tag 'dots' found using 'kind' does not"),
         ({"board.square_y_m": 0.3}, "square_y_m is the other side of nearly square squares of"),
         ({"board.columns": 2}, "count inner corners, 3 to 100 each; found 2 x 5"),
         ({"board.square_m": 30}, "board.square_m is 30.0 m"),

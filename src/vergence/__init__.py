@@ -33,8 +33,10 @@ if TYPE_CHECKING:  # for type checkers; `_MODULES` is made of these imports
     from vergence.gaze.state import GazeSettings as GazeSettings
     from vergence.gaze.state import initial_gaze_state as initial_gaze_state
     from vergence.gaze.state import look_at as look_at
+    from vergence.geometry.board import AprilGrid as AprilGrid
     from vergence.geometry.board import Charuco as Charuco
     from vergence.geometry.board import Chessboard as Chessboard
+    from vergence.geometry.board import CircleGrid as CircleGrid
     from vergence.geometry.camera import Camera as Camera
     from vergence.geometry.head import HeadCalibration as HeadCalibration
     from vergence.geometry.head import load_head as load_head

@@ -18,7 +18,7 @@ from vergence.arrays import Array, nearest_rotation
 from vergence.calibration.observations import Observations, camera_eyes, most_seen
 from vergence.errors import VergenceError
 from vergence.findings import Finding, note, warning
-from vergence.geometry.board import Board, Charuco, corner_points
+from vergence.geometry.board import AprilGrid, Board, Charuco, CircleGrid, corner_points
 from vergence.geometry.head import main_camera
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.se3 import known_poses, pose, rotation, rotvec
@@ -71,7 +71,7 @@ class _Camera:
 
 
 def number_alike(observations: Observations, T_cam_target: Mapping[str, Array]) -> Renumbered:
-    """Number all boards of a placement alike; ChArUco boards come back as they are.
+    """Number all boards of a placement alike; those of one numbering come back as they are.
 
     T_cam_target has by camera the poses (V, 4, 4) of the board by preliminary lenses, NaN where not
     known. Cameras that it lacks are left as they are.
@@ -79,9 +79,10 @@ def number_alike(observations: Observations, T_cam_target: Mapping[str, Array]) 
     V, board = len(observations.placement), observations.board
     turns = {name: np.zeros(V, dtype=int) for name in observations.corners}
     unclear = {name: np.zeros(V, dtype=bool) for name in observations.corners}
-    if isinstance(board, Charuco):
+    S = symmetries(board)
+    if len(S) == 1:
         return Renumbered(observations, T_cam_target, turns, unclear)
-    S, poses, eyes = symmetries(board), observations.eye_poses(), camera_eyes(observations)
+    poses, eyes = observations.eye_poses(), camera_eyes(observations)
     cameras = {
         name: _by_readings(observations.placement, T, poses, EYES.index(eyes[name]), S)
         for name, T in T_cam_target.items()
@@ -121,8 +122,15 @@ def turn_boards(observations: Observations, turns: Mapping[str, np.ndarray]) -> 
 
 
 def symmetries(board: Board) -> Array:
-    """Return the rotations (n, 3, 3) that put a board onto itself: n = 2, or 4 if it is square."""
+    """Return the rotations (n, 3, 3) that put a board onto itself: n = 2, or 4 if it is square.
+
+    n = 1 for boards with markers, and for asymmetric grids with an odd number of rows.
+    """
     n = 4 if board.columns == board.rows else 2
+    if isinstance(board, (Charuco, AprilGrid)):
+        n = 1
+    elif isinstance(board, CircleGrid) and board.asymmetric:
+        n = 1 if board.rows % 2 else 2
     return rotation(2 * np.pi / n * np.arange(n)[:, None] * [0.0, 0.0, 1.0])
 
 
@@ -132,7 +140,7 @@ def nearest_numbering(R_cam_target: Array, board: Board) -> Array:
     It holds for motion below half the turn between two numberings.
     """
     S = symmetries(board)
-    if isinstance(board, Charuco) or len(R_cam_target) < 2:
+    if len(S) == 1 or len(R_cam_target) < 2:
         return R_cam_target
     off = _angles(np.einsum("iab,nbc,jac->ijn", R_cam_target, S, R_cam_target, optimize=True))
     return R_cam_target @ S[_agreed(off * SPREAD_RAD)[0]]
@@ -324,7 +332,7 @@ def without_unclear(
             where = f"{', '.join(map(observations.name_of_view, turned))} of {name}"
             sentence = f"The board is numbered from the wrong end, and was turned, in {where}."
             findings.append(note("boards-turned", sentence, where))
-        if unclear and (board.columns + board.rows) % 2 == 0:
+        if unclear and (board.kind == "circles" or (board.columns + board.rows) % 2 == 0):
             where = f"{', '.join(map(observations.name_of_view, unclear))} of {name}"
             sentence = (
                 "Neither readings nor other cameras settle from which end the board is numbered in "

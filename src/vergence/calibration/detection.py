@@ -22,7 +22,7 @@ from vergence.data.dataset import Dataset, motion_timing
 from vergence.data.images import UNREADABLE
 from vergence.errors import VergenceError, counted
 from vergence.findings import Finding, note
-from vergence.geometry.board import Board
+from vergence.geometry.board import Board, described
 from vergence.progress import Progress, silent
 from vergence.vision.board_detection import detect_board
 from vergence.vision.board_pose import LEAST_CORNERS
@@ -246,8 +246,8 @@ def _shown(dataset: Dataset, found: list[_Detection], where: str) -> str:
     seen = len(found) - len(reasons)
     who = f"Only {seen} of {len(found)} images" if seen else "No image"
     return (
-        f"{who} of {where} {'show' if seen > 1 else 'shows'} a {board.kind} of "
-        f"{board.columns} x {board.rows} inner corners ({max(set(reasons), key=reasons.count)})"
+        f"{who} of {where} {'show' if seen > 1 else 'shows'} a {described(board)} "
+        f"({max(set(reasons), key=reasons.count)})"
     )
 
 

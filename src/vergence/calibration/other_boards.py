@@ -12,7 +12,17 @@ import cv2
 import numpy as np
 
 from vergence.errors import counted
-from vergence.geometry.board import DICTIONARIES, Board, Charuco, Chessboard, marker_family
+from vergence.geometry.board import (
+    DICTIONARIES,
+    AprilGrid,
+    Board,
+    Charuco,
+    Chessboard,
+    CircleGrid,
+    described,
+    marker_family,
+)
+from vergence.vision.april_grid import read_grid_markers
 from vergence.vision.board_detection import detect_board, ends_inside, upsampled
 from vergence.vision.board_pose import LEAST_CORNERS
 from vergence.vision.marker_layout import (
@@ -30,13 +40,21 @@ ANOTHER = "another board is there than the one described"
 
 def why_not_found(grey: np.ndarray, board: Board) -> str:
     """Say why a board is not found in a sharp image (H, W), by what is seen of any board."""
-    if isinstance(board, Charuco):
-        quads, ids = read_markers(upsampled(grey)[0], board.dictionary)
-        if contradicts(marker_pairs(quads, ids), board):
+    if isinstance(board, CircleGrid):
+        return "the board was not found; all its circles must be visible"
+    if isinstance(board, (Charuco, AprilGrid)):
+        large = upsampled(grey)[0]
+        if isinstance(board, Charuco):
+            quads, ids = read_markers(large, board.dictionary)
+            if contradicts(marker_pairs(quads, ids), board):
+                return ANOTHER
+        else:
+            ids = read_grid_markers(large, board)[1]
+        if len(ids) > LEAST_CORNERS and isinstance(board, AprilGrid):
             return ANOTHER
         if len(ids):
             return f"only {counted(len(ids), 'marker')} of the board could be read"
-        return "the board was not found"
+        return f"no marker of {board.dictionary} could be read"
     grid = _largest_grid(grey)
     if grid is None:
         return "the board was not found"
@@ -76,7 +94,8 @@ def find_board(images: Sequence[np.ndarray]) -> tuple[Board, int] | None:
 def mirrored(images: Sequence[np.ndarray], board: Board) -> str | None:
     """Say what to do if images (H, W) are mirrored, which only markers show."""
     flipped = [np.ascontiguousarray(image[:, ::-1]) for image in images]
-    if isinstance(board, Charuco) and any(_is_seen(image, board) for image in flipped):
+    marked = isinstance(board, (Charuco, AprilGrid))
+    if marked and any(_is_seen(image, board) for image in flipped):
         return "its mirror image is there: store the images as the camera sees, not mirrored"
     return None
 
@@ -101,6 +120,7 @@ def _largest_grid(grey: np.ndarray) -> np.ndarray | None:
 
 def _candidates(images: Sequence[np.ndarray], board: Board) -> Iterator[Board]:
     """Yield boards that images (H, W) may show: with markers, then without."""
+    yield from _alike(board)
     sides = board.square_m, board.square_y_m, board.square_std_m
     plain, families = Chessboard(board.columns, board.rows, *sides), {}
     for name in sorted(DICTIONARIES, key=lambda name: len(marker_family(name).bytesList)):
@@ -129,8 +149,22 @@ def _candidates(images: Sequence[np.ndarray], board: Board) -> Iterator[Board]:
         yield replace(plain, columns=columns, rows=rows)
 
 
+def _alike(board: Board) -> Iterator[Board]:
+    """Yield boards whose description is easily taken for that of a board."""
+    if isinstance(board, AprilGrid):
+        exchanged = replace(board, tags_x=board.tags_y, tags_y=board.tags_x)
+        for each in (board, exchanged):
+            yield replace(each, rows_from_below=not board.rows_from_below)
+        yield exchanged
+    if isinstance(board, CircleGrid):
+        exchanged = replace(board, columns=board.rows, rows=board.columns)
+        yield exchanged
+        for each in (board, exchanged):
+            yield replace(each, asymmetric=not board.asymmetric)
+
+
 def _family(dictionary: str) -> str:
-    return re.sub(r"_\d+$", "", dictionary)
+    return re.sub(r"_\d+$", "", dictionary.upper())
 
 
 def _with_markers(board: Board, dictionary: str) -> Charuco:
@@ -150,13 +184,13 @@ def _with_markers(board: Board, dictionary: str) -> Charuco:
 
 def _advice(board: Board, other: Board) -> str:
     """Say what to set in dataset.json for another board than the one described."""
-    described, settings = asdict(board), []
+    current, settings = asdict(board), []
     for name, value in asdict(other).items():
         if name == "marker_m" and board.kind != other.kind:
             settings.append("board.marker_m to the side of a marker")
-        elif value != described.get(name):
-            settings.append(f"board.{name} to {str(value).lower() if name == 'legacy' else value}")
-    what = f"{other.kind} of {other.columns} x {other.rows} inner corners"
+        elif value != current.get(name):
+            shown = str(value).lower() if isinstance(value, bool) else value
+            settings.append(f"board.{name} to {shown}")
     if other.kind == "chessboard" == board.kind:
         settings[-1] += "; they count the corners inside the board, not its squares"
-    return f"a {what} is there: set {', '.join(settings)}"
+    return f"a {described(other)} is there: set {', '.join(settings)}"

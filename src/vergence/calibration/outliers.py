@@ -15,6 +15,7 @@ from vergence.arrays import Array
 from vergence.calibration.observations import Observations
 from vergence.errors import counted
 from vergence.findings import note
+from vergence.geometry.board import even_grids
 
 LEAST, TYPICAL, CLEAR = 0.35, 6.0, 3.0
 """Minimum distance of a stray corner from where its neighbours put it: in sides of a square (lenses
@@ -26,8 +27,9 @@ def without_strays(observations: Observations) -> Observations:
     """Return the observations without stray corners, and with a note where there were any."""
     board, corners, said = observations.board, {}, []
     for name, found in observations.corners.items():
-        stray = strays(found.reshape(len(found), board.rows, board.columns, 2))
-        stray = stray.reshape(found.shape[:2])
+        stray = np.zeros(found.shape[:2], dtype=bool)
+        for numbers in even_grids(board):
+            stray[:, numbers] = strays(found[:, numbers])
         corners[name] = np.where(stray[..., None], np.nan, found)
         images = int(stray.any(axis=1).sum())
         if images:

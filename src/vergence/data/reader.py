@@ -89,7 +89,9 @@ def _description(content: Any) -> Description:
     try:
         return validated(content, Description)
     except ValueError as error:  # without the kind of board, which pydantic adds
-        raise ValueError(re.sub(r"^board\.(chessboard|charuco)", "board", str(error))) from None
+        raise ValueError(
+            re.sub(r"^board\.(chessboard|charuco|aprilgrid|circles)", "board", str(error))
+        ) from None
 
 
 def _image_files(

@@ -1,16 +1,23 @@
 """Planar calibration boards, and their corners in frame target.
 
 Frame `target`: origin at the first inner corner, x along a row, y along a column, z into the
-board; corner (i, j) is at (i, j, 0) times the sides of a square.
+board; corner (i, j) of a chessboard is at (i, j, 0) times the sides of a square.
 """
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 import cv2
 import numpy as np
-from pydantic import ConfigDict, FiniteFloat, PositiveFloat, PositiveInt
+from pydantic import (
+    ConfigDict,
+    Field,
+    FiniteFloat,
+    NonNegativeInt,
+    PositiveFloat,
+    PositiveInt,
+)
 from pydantic.dataclasses import dataclass
 
 from vergence.arrays import Array
@@ -73,14 +80,7 @@ class Charuco:
         if min(self.squares_x, self.squares_y) < 3 or max(self.squares_x, self.squares_y) > 100:
             found = f"{self.squares_x} x {self.squares_y}"
             raise ValueError(f"a ChArUco board has 3 to 100 squares each way, found {found}")
-        if not 0 < self.marker_m < self.square_m:
-            raise ValueError(
-                f"marker_m lies between 0 and square_m = {self.square_m}, found {self.marker_m}"
-            )
-        try:
-            marker_family(self.dictionary, self.squares_x * self.squares_y // 2 - 1)
-        except VergenceError as error:
-            raise ValueError(str(error)) from None
+        _check_markers(self, self.squares_x * self.squares_y // 2 - 1)
 
     @property
     def columns(self) -> int:
@@ -93,7 +93,97 @@ class Charuco:
         return self.squares_y - 1
 
 
-Board = Chessboard | Charuco
+@dataclass(frozen=True, config=ConfigDict(extra="forbid", allow_inf_nan=False))
+class AprilGrid:
+    """A grid of markers whose corners touch small black squares, as Kalibr prints it.
+
+    The markers identify the corners, so that a partly visible grid is enough.
+    """
+
+    tags_x: Annotated[int, Field(ge=2, le=50)]
+    tags_y: Annotated[int, Field(ge=2, le=50)]
+    square_m: PositiveFloat
+    """From the corner of a marker to that of the next one [m]: Kalibr's tagSize (1 + tagSpacing).
+    """
+    marker_m: PositiveFloat
+    """Side of a marker [m]: Kalibr's tagSize."""
+    dictionary: str = "DICT_APRILTAG_36h11"
+    """OpenCV's name of the marker dictionary."""
+    first_id: NonNegativeInt = 0
+    """Number of the first marker; they are numbered along the rows of the upright grid."""
+    rows_from_below: bool = True
+    """Whether the first row is the lowest one, as Kalibr's, and not the highest, as OpenCV's."""
+    square_y_m: PositiveFloat | None = None
+    """As square_m, along a column, where the printer has stretched the board; None: the same."""
+    square_std_m: PositiveFloat | None = None
+    """Standard deviation of the stated distance [m]; None: a hundredth of it."""
+    kind: Literal["aprilgrid"] = "aprilgrid"
+
+    def __post_init__(self) -> None:
+        _check_stretch(self)
+        _check_markers(self, self.first_id + self.tags_x * self.tags_y - 1)
+
+    @property
+    def columns(self) -> int:
+        """Corners in a row: two of each marker."""
+        return 2 * self.tags_x
+
+    @property
+    def rows(self) -> int:
+        """Corners in a column."""
+        return 2 * self.tags_y
+
+    @property
+    def ids(self) -> np.ndarray:
+        """(tags_y, tags_x) numbers of the markers, the highest row first."""
+        ids = self.first_id + np.arange(self.tags_x * self.tags_y).reshape(self.tags_y, self.tags_x)
+        return ids[::-1] if self.rows_from_below else ids
+
+
+@dataclass(frozen=True, config=ConfigDict(extra="forbid", allow_inf_nan=False))
+class CircleGrid:
+    """Round spots in rows; their centres are its corners. It must be visible as a whole."""
+
+    columns: Annotated[int, Field(ge=3, le=100)]
+    """Spots in a row."""
+    rows: Annotated[int, Field(ge=3, le=100)]
+    square_m: PositiveFloat
+    """Distance of two rows [m]; spots of a row lie as far apart, or twice as far if asymmetric."""
+    asymmetric: bool = False
+    """Whether every other row is shifted by half the distance of its spots, as OpenCV's 4 x 11."""
+    square_y_m: PositiveFloat | None = None
+    """Distance of two rows [m], where the printer has stretched the board; None: the same."""
+    square_std_m: PositiveFloat | None = None
+    """Standard deviation of the stated distance [m]; None: a hundredth of it."""
+    kind: Literal["circles"] = "circles"
+
+    def __post_init__(self) -> None:
+        _check_stretch(self)
+
+
+Board = Chessboard | Charuco | AprilGrid | CircleGrid
+
+
+def described(board: Board) -> str:
+    """Name a board by its kind and counts."""
+    if isinstance(board, AprilGrid):
+        return f"{board.kind} of {board.tags_x} x {board.tags_y} markers"
+    if isinstance(board, CircleGrid):
+        kind = "asymmetric" if board.asymmetric else "symmetric"
+        return f"{kind} grid of {board.columns} x {board.rows} circles"
+    return f"{board.kind} of {board.columns} x {board.rows} inner corners"
+
+
+def _check_markers(board: Charuco | AprilGrid, last: int) -> None:
+    """Raise ValueError for markers larger than their squares, or that no dictionary has."""
+    if not 0 < board.marker_m < board.square_m:
+        raise ValueError(
+            f"marker_m lies between 0 and square_m = {board.square_m}, found {board.marker_m}"
+        )
+    try:
+        marker_family(board.dictionary, last)
+    except VergenceError as error:
+        raise ValueError(str(error)) from None
 
 
 def _check_stretch(board: Board) -> None:
@@ -107,11 +197,11 @@ def _check_stretch(board: Board) -> None:
 
 def marker_family(dictionary: str, marker_id: int = 0) -> cv2.aruco.Dictionary:
     """Look up OpenCV's family of markers; VergenceError if it, or the marker in it, is unknown."""
-    if dictionary not in DICTIONARIES:
+    if dictionary.upper() not in DICTIONARIES:  # OpenCV also writes 36h11
         raise VergenceError(
             f"No marker dictionary is called {dictionary!r}; there are {', '.join(DICTIONARIES)}."
         )
-    family = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
+    family = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary.upper()))
     count = len(family.bytesList)
     if not 0 <= marker_id < count:
         raise VergenceError(
@@ -131,5 +221,19 @@ def opencv_board(board: Charuco) -> cv2.aruco.CharucoBoard:
 def corner_points(board: Board) -> Array:
     """List the inner corners (rows * columns, 3) [m] in frame target, row by row."""
     j, i = np.mgrid[: board.rows, : board.columns]
+    if isinstance(board, AprilGrid):
+        i, j = (each // 2 + each % 2 * board.marker_m / board.square_m for each in (i, j))
+    elif isinstance(board, CircleGrid) and board.asymmetric:
+        i = 2 * i + j % 2
     sides = np.array([board.square_m, board.square_y_m or board.square_m, 0.0])
     return np.stack([i, j, np.zeros_like(i)], axis=-1).reshape(-1, 3) * sides
+
+
+def even_grids(board: Board) -> list[np.ndarray]:
+    """List the parts of a board in which corners lie evenly: their numbers (rows, columns)."""
+    numbers = np.arange(board.rows * board.columns).reshape(board.rows, board.columns)
+    down = (
+        2 if isinstance(board, AprilGrid) or (board.kind == "circles" and board.asymmetric) else 1
+    )
+    right = 2 if isinstance(board, AprilGrid) else 1
+    return [numbers[j::down, i::right] for j in range(down) for i in range(right)]

@@ -21,7 +21,7 @@ from vergence.data.writer import DatasetRow, write_dataset
 from vergence.errors import VergenceError, counted
 from vergence.files import check_new
 from vergence.findings import Finding, note
-from vergence.geometry.board import Board
+from vergence.geometry.board import Board, described
 from vergence.progress import Progress, silent
 from vergence.recordings.board_placements import number_placements
 from vergence.recordings.chosen_images import read_images
@@ -181,6 +181,6 @@ def _why_no_board(board: Board, images_of: _ImagesOf, chosen: ChosenFrames) -> s
     images = [grey_levels(to_8_bits(each)) for frame in images_of(rows) for each in frame.values()]
     instead = other_board(images, board)
     return (
-        f"none of {counted(len(chosen.rows), 'frame')} shows a {board.kind} of {board.columns} x "
-        f"{board.rows} inner corners; {instead or 'check board in the map'}"
+        f"none of {counted(len(chosen.rows), 'frame')} shows a {described(board)}; "
+        f"{instead or 'check board in the map'}"
     )

@@ -9,7 +9,16 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from vergence.arrays import Array
-from vergence.geometry.board import Board, Charuco, Chessboard, opencv_board
+from vergence.geometry.board import (
+    AprilGrid,
+    Board,
+    Charuco,
+    Chessboard,
+    CircleGrid,
+    opencv_board,
+)
+from vergence.vision.april_grid import detect_april_grid
+from vergence.vision.circle_grid import detect_circle_grid
 from vergence.vision.corner_refinement import HALF_WIDTH_PX, edge_distances, refine_corners
 from vergence.vision.exposure import grey_levels
 from vergence.vision.marker_layout import contradicts, marker_pairs
@@ -23,7 +32,7 @@ _CLEAR = 0.25
 def detect_board(image: np.ndarray, board: Board) -> Array | None:
     """Detect a board in an image (H, W) or (H, W, 3) uint8, RGB, and locate its inner corners.
 
-    A ChArUco board may be partly visible, a chessboard must be visible as a whole. The square
+    A board with markers may be partly visible, others must be visible as a whole. The square
     outside a chessboard's first corner is black if only one of its corner counts is odd; of corners
     that look the same, the first is the one nearest to the image's upper left.
 
@@ -33,6 +42,10 @@ def detect_board(image: np.ndarray, board: Board) -> Array | None:
     grey = grey_levels(image)
     if isinstance(board, Charuco):
         return _detect_charuco(grey, board)
+    if isinstance(board, AprilGrid):
+        return detect_april_grid(*upsampled(grey), grey, board)
+    if isinstance(board, CircleGrid):
+        return detect_circle_grid(grey, board)
     return _detect_chessboard(grey, board)
 
 

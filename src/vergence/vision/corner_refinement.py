@@ -20,14 +20,18 @@ MAX_SHIFT_PX = 1.5
 
 
 def refine_corners(
-    grey: np.ndarray, grid: Array, edges_px: Array, half_widths_px: Array | float = HALF_WIDTH_PX
+    grey: np.ndarray,
+    grid: Array,
+    edges_px: Array,
+    half_widths_px: Array | float = HALF_WIDTH_PX,
+    places: Array | None = None,
 ) -> Array:
     """Move a board's corners (rows, columns, 2) [px] to nearby saddle points of the grey levels.
 
     Corners are right to about a pixel, NaN where unknown. Given are `edge_distances` (rows,
-    columns), and half widths of the strips (rows, columns), or one for all. NaN for a corner
-    without a clear saddle point, near the image's border, or without a neighbour in its row or its
-    column.
+    columns), and half widths of the strips (rows, columns), or one for all. Corners lie on the
+    board at places (rows, columns, 2), None: one apart. NaN for a corner without a clear saddle
+    point, near the image's border, or without a neighbour in its row or its column.
     """
     shape = grid.shape
     # With strips longer than half the distance to the next edge neighbours would share pixels.
@@ -37,7 +41,7 @@ def refine_corners(
     no_curvature = np.zeros((lengths.size, 2, 3))
     first = _saddle_points(grey, grid.reshape(-1, 2), strips, no_curvature)
     # The curvature needs more accurate corners than the initial ones.
-    curvature = curvatures(first.reshape(shape)).reshape(-1, 2, 3)
+    curvature = curvatures(first.reshape(shape), places).reshape(-1, 2, 3)
     return _saddle_points(grey, first, strips, curvature).reshape(shape)
 
 
@@ -63,7 +67,7 @@ def adjacent_sides(grid: Array) -> list[tuple[Array, Array]]:
     return [(along, across) for along in horizontal for across in vertical]
 
 
-def curvatures(grid: Array) -> Array:
+def curvatures(grid: Array, places: Array | None = None) -> Array:
     """Estimate the second-order terms (rows, columns, 2, 3) of the bend of a board's lines.
 
     Coefficients of u^2, u v and v^2 in the deviation of x and y [px] from straight lines, at an
@@ -71,9 +75,12 @@ def curvatures(grid: Array) -> Array:
     with too few corners.
     """
     offsets = np.stack(np.meshgrid((-1, 0, 1), (-1, 0, 1)), axis=-1) / 4  # squares
-    j, i = np.indices(grid.shape[:2])
-    places = np.stack([i, j], axis=-1)[:, :, None, None] + offsets
-    mapped = _smooth_map(grid, places.reshape(-1, 2)).reshape(places.shape)
+    if places is None:
+        j, i = np.indices(grid.shape[:2])
+        places = np.stack([i, j], axis=-1)
+    around = places[:, :, None, None] + offsets
+    mapped = smooth_map(places.reshape(-1, 2), grid.reshape(-1, 2), around.reshape(-1, 2))
+    mapped = mapped.reshape(around.shape)
     if not np.isfinite(mapped).all():
         return np.zeros((*grid.shape[:2], 2, 3))
     above, here, below = (mapped[:, :, k, 1] for k in range(3))
@@ -92,16 +99,16 @@ def curvatures(grid: Array) -> Array:
     return np.stack([K[..., 0, 0], K[..., 0, 1] + K[..., 1, 0], K[..., 1, 1]], axis=-1)
 
 
-def _smooth_map(grid: Array, places: Array) -> Array:
-    """Map places (N, 2) on the board, in squares from its first corner, to pixels (N, 2).
+def smooth_map(known: Array, corners: Array, places: Array) -> Array:
+    """Map places (N, 2) on the board, in squares, to pixels (N, 2).
 
-    A homography and a polynomial for lens distortion, of the largest degree up to five with 1.5
-    corners a coefficient; degree four moves focal lengths of fisheye lenses by four standard
-    deviations. NaN with too few corners.
+    It is fitted to corners (K, 2) [px], NaN where not seen, at known places (K, 2): a homography
+    and a polynomial for lens distortion, of the largest degree up to five with 1.5 corners a
+    coefficient; degree four moves focal lengths of fisheye lenses by four standard deviations. NaN
+    with too few corners.
     """
-    valid = np.isfinite(grid[..., 0])
-    j, i = np.nonzero(valid)
-    known, corners = np.column_stack([i, j]).astype(float), grid[valid]
+    valid = np.isfinite(corners[:, 0])
+    known, corners = known[valid].astype(float), corners[valid]
     degree = max((d for d in range(6) if 3 * (d + 1) * (d + 2) <= 4 * len(known)), default=0)
     H = None if degree < 2 else cv2.findHomography(known, corners, 0)[0]
     if H is None:
