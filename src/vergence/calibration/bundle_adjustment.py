@@ -190,7 +190,7 @@ def bundle_adjust(
     """
     timed = observations.timing is not None
     known = observations.known_lenses.items()
-    kept = {name: lens.camera for name, lens in known if lens.std_percent == 0}
+    kept = {name: lens for name, (lens, percent) in known if percent == 0}
     kept |= {name: each.camera for name, each in (intrinsics or {}).items()}
     if kept:
         cameras = {

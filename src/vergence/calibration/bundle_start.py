@@ -21,7 +21,7 @@ from vergence.calibration.priors import (
     BOARD_SCALE,
     LAST_ASSUMED,
     BoardSize,
-    StatedLens,
+    ParametersPrior,
     board_scale_block,
     boards_block,
     head_block,
@@ -42,6 +42,7 @@ from vergence.estimation.linear import linearise
 from vergence.estimation.residual import Residual
 from vergence.estimation.variables import Latent, Variables
 from vergence.geometry.board import corner_points
+from vergence.geometry.camera import intrinsics_names
 from vergence.geometry.head import HeadCalibration, parameter_names
 from vergence.geometry.kinematics import (
     EYES,
@@ -164,10 +165,16 @@ def bundle_problem(
     for name, mounted in cameras.items():
         last = LAST_ASSUMED.get(mounted.intrinsics.model)
         priors += lens_priors(mounted.intrinsics, f"{name}.{last}" not in fixed, name)
-        lens = observations.known_lenses.get(name)
-        if lens is not None and f"{name}.fx" not in fixed:
-            std = known_lens_std(lens.camera, lens.std_percent)
-            priors.append(StatedLens(stated=lens.camera, std=std, camera=name))
+        if name in observations.known_lenses and f"{name}.fx" not in fixed:
+            lens, percent = observations.known_lenses[name]
+            known = {**cameras, name: replace(mounted, intrinsics=lens)}
+            priors.append(
+                ParametersPrior(
+                    names=tuple(f"{name}.{each}" for each in intrinsics_names(lens)),
+                    head=replace(start, cameras=known),
+                    covariance=np.diag(known_lens_std(lens, percent) ** 2),
+                )
+            )
     offset_s = start.time_offset_s if "time_offset_s" in fixed else 0.0
     head = replace(start, time_offset_s=offset_s, accuracy=None)
     sized = isinstance(measured, Reprojection) and _measures_lengths(observations.T_base_eye)

@@ -20,7 +20,6 @@ from vergence.calibration.cross_validation import (
 )
 from vergence.calibration.detection import detect_target
 from vergence.calibration.initial import SequentialCalibration, calibrate_sequentially
-from vergence.calibration.known_lenses import contradicted_lenses
 from vergence.calibration.lens_choice import LensChoice, LensOption
 from vergence.calibration.observations import Observations
 from vergence.calibration.prepared_views import Method, PreparedViews, prepare
@@ -157,5 +156,5 @@ def _about(views: PreparedViews, head: HeadCalibration) -> list[Finding]:
         *([] if poses else plausibility.implausible_geometry(head)),
         *excitation.stretched_board(*views.at_rest, views.intrinsics, moving=moving),
         *excitation.doubtful_focal_lengths(views.T_cam_target, head, focal_std),
-        *contradicted_lenses(views.at_rest[0]),
+        *excitation.contradicted_lenses(head, views.observations.known_lenses),
     ]

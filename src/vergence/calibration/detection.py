@@ -11,12 +11,7 @@ import cv2
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.observations import (
-    NO_CORNERS,
-    UNREADABLE_IMAGE,
-    KnownLens,
-    Observations,
-)
+from vergence.calibration.observations import NO_CORNERS, UNREADABLE_IMAGE, Observations
 from vergence.calibration.other_boards import ANOTHER, mirrored, other_board, why_not_found
 from vergence.data.dataset import Dataset, motion_timing
 from vergence.data.images import UNREADABLE
@@ -116,7 +111,7 @@ def detect_target(dataset: Dataset, *, progress: Progress = silent) -> Observati
         lines=np.asarray(dataset.lines),
         systematic_px=SYSTEMATIC_PX,
         known_lenses={
-            name: KnownLens(camera.intrinsics, camera.intrinsics_std_percent)
+            name: (camera.intrinsics, camera.intrinsics_std_percent)
             for name, camera in cameras.items()
             if camera.intrinsics is not None and camera.intrinsics_std_percent is not None
         },

@@ -9,21 +9,15 @@ import cv2
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.lenses import (
-    LensFit,
-    LensModel,
-    fit_lens,
-    fit_model,
-    free_intrinsics,
-)
-from vergence.calibration.observations import KnownLens, Observations
-from vergence.calibration.priors import StatedLens, known_lens_std
+from vergence.calibration.lenses import LensFit, LensModel, fit_model, free_intrinsics
+from vergence.calibration.observations import Observations
+from vergence.calibration.priors import known_lens_std
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
 from vergence.geometry.camera import Camera, displaced_by_distortion
 from vergence.geometry.head_accuracy import LensAccuracy
 from vergence.geometry.lens import PINHOLE
-from vergence.geometry.se3 import known_poses
+from vergence.geometry.parameters import lens_vector
 from vergence.vision.board_pose import board_errors, board_poses, determines_pose, seen_corners
 
 LEAST_VIEWS = 3
@@ -64,22 +58,26 @@ def calibrate_intrinsics(
     """Calibrate the intrinsics of every camera by Zhang's method: the first step.
 
     From which end a view is numbered does not matter here. Lens models are stated by camera;
-    where none is, it is the paper's. Known lenses are kept, or corrected by the images. Raises
-    VergenceError if another camera has fewer than three views, or they do not determine its focal
-    length.
+    where none is, it is the paper's. A known lens is kept where it is better known than by the
+    images. VergenceError if another camera has fewer than three views, or they do not determine
+    its focal length.
     """
     points = corner_points(observations.board)
     models: dict[str, LensModel] = {**lenses_of_the_paper(observations), **(lenses or {})}
     found = {}
     for name, corners in observations.corners.items():
-        size, known = observations.sizes[name], observations.known_lenses.get(name)
+        known = observations.known_lenses.get(name)
+        before = None if known is None else known_intrinsics(*known, corners, points)
         try:
-            if known is not None:
-                found[name] = correct_camera(known, corners, points, lens_model=models[name])
-                continue
-            found[name] = calibrate_camera(corners, points, size=size, lens_model=models[name])
+            found[name] = calibrate_camera(
+                corners, points, size=observations.sizes[name], lens_model=models[name]
+            )
         except VergenceError as error:
-            raise VergenceError(f"{name}: {error}") from None
+            if before is None:
+                raise VergenceError(f"{name}: {error}") from None
+            found[name] = before
+        if before is not None and before.focal_std_px[0] < found[name].focal_std_px[0]:
+            found[name] = before
     return found
 
 
@@ -111,8 +109,7 @@ def calibrate_camera(
     if len(corners) < LEAST_VIEWS:
         raise VergenceError(_NOT_OBSERVABLE)
     try:
-        fit = fit_model(lens_model, None, corners, points, size)
-        intrinsics = _with_accuracy(fit, free_intrinsics(lens_model))
+        intrinsics = _with_accuracy(fit_model(lens_model, None, corners, points, size), lens_model)
     except (cv2.error, ValueError, np.linalg.LinAlgError):
         # The steps of the fit lead to an impossible lens.
         raise VergenceError(_NOT_OBSERVABLE) from None
@@ -122,47 +119,32 @@ def calibrate_camera(
     return intrinsics
 
 
-def correct_camera(
-    known: KnownLens, corners: Array, points: Array, *, lens_model: LensModel
-) -> Intrinsics:
-    """Correct a known lens by views of a flat board, one or more; an exact one is kept.
-
-    Pixels (V, K, 2) are NaN where corners (K, 3) were not seen. VergenceError without a view.
-    """
+def known_intrinsics(camera: Camera, percent: float, corners: Array, points: Array) -> Intrinsics:
+    """Take a lens as it was known before; boards in images (V, K, 2) are fitted to it."""
     corners = corners[determines_pose(points, seen_corners(corners))]
-    T = board_poses(known.camera, corners, points)
-    corners, T = corners[known_poses(T)], T[known_poses(T)]
-    if not len(corners):
-        raise VergenceError("no image shows the board; one or more are needed.")
-    if known.std_percent == 0:
-        errors, *_ = board_errors(known.camera, T, corners, points)
-        return Intrinsics(
-            known.camera,
-            free=np.zeros(0, dtype=np.intp),
-            rms_px=float(np.sqrt(2 * (errors**2).sum() / np.count_nonzero(errors))),
-            views=len(corners),
-            focal_std_px=(0.0, 0.0),
-            covariance=np.zeros((0, 0)),
-            accuracy=LensAccuracy(focal=0.0, centre_px=0.0, distortion_px=0.0),
-        )
-    free = free_intrinsics(lens_model)
-    std = known_lens_std(known.camera, known.std_percent)
-    prior = StatedLens(stated=known.camera, std=std)
-    fit = fit_lens(known.camera, free, T, corners, points, priors=[prior])
-    return _with_accuracy(fit, free, 1 / std[free] ** 2)
+    errors, *_ = board_errors(camera, board_poses(camera, corners, points), corners, points)
+    std = known_lens_std(camera, percent)
+    free = np.flatnonzero(std * lens_vector(camera))
+    return Intrinsics(
+        camera,
+        free,
+        rms_px=float(np.sqrt(2 * (errors**2).sum() / max(np.count_nonzero(errors), 1))),
+        views=len(corners),
+        focal_std_px=tuple(std[:2].tolist()),
+        covariance=np.diag(std[free] ** 2),
+        accuracy=LensAccuracy(
+            focal=percent / 100, centre_px=std[2], distortion_px=percent / 100 * camera.width / 2
+        ),
+    )
 
 
-def _with_accuracy(fit: LensFit, free: np.ndarray, known: Array | None = None) -> Intrinsics:
-    """Compute the accuracy of a fit by the noise that is left, and by how views differ.
-
-    `known` (n,) is the information that was there before the images; None: none.
-    """
-    n, count = len(PINHOLE), np.count_nonzero(fit.errors)
+def _with_accuracy(fit: LensFit, model: LensModel) -> Intrinsics:
+    """Compute the accuracy of a fit by the noise that is left, and by how views differ."""
+    free, n, count = free_intrinsics(model), len(PINHOLE), np.count_nonzero(fit.errors)
     redundancy = count - 6 * len(fit.errors) - len(free)
     variance = fit.sum_squares / redundancy if redundancy > 0 else np.inf
-    before = None if known is None else np.diag(variance * known)
-    C, focal = noise_covariance(fit.rest, variance, before), fit.camera.matrix[[0, 1], [0, 1]]
-    by_views = jackknife_covariance(fit.errors, fit.rest, before)
+    C, focal = noise_covariance(fit.rest, variance), fit.camera.matrix[[0, 1], [0, 1]]
+    by_views = jackknife_covariance(fit.errors, fit.rest)
     larger = max(1.0, float((np.diag(by_views) / np.diag(C))[:2].max()))
     shown = displaced_by_distortion(fit.camera)[np.ix_(free[n:] - n, free[n:] - n)]
     stated = []
@@ -188,15 +170,13 @@ SMALLEST_EIGENVALUE = 1e-13
 """Least eigenvalue, of information scaled to a unit diagonal, of a direction that is determined."""
 
 
-def noise_covariance(rest: Array, variance: float, before: Array | None = None) -> Array:
+def noise_covariance(rest: Array, variance: float) -> Array:
     """Compute the covariance (n, n) of fitted intrinsics, if all corners err independently.
 
     By the derivatives (V, 2 K, n) of the corners' pixels, of `without_poses`, and the variance of
-    these; `before` (n, n) is the information before the images, times the variance. Infinite: not
-    determined.
+    these. Infinite: not determined.
     """
     H = (np.swapaxes(rest, 1, 2) @ rest).sum(axis=0)
-    H = H if before is None else H + before
     scale = np.sqrt(np.diag(H))
     if not np.isfinite(variance) or not (scale > 0).all():
         return np.full(H.shape, np.inf)
@@ -204,17 +184,15 @@ def noise_covariance(rest: Array, variance: float, before: Array | None = None) 
     return variance * (vectors / np.maximum(values, 1e-15)) @ vectors.T / np.outer(scale, scale)
 
 
-def jackknife_covariance(errors: Array, rest: Array, before: Array | None = None) -> Array:
+def jackknife_covariance(errors: Array, rest: Array) -> Array:
     """Compute the covariance (n, n) of fitted intrinsics, by the change that each view makes.
 
     The jackknife, for clusters: it includes errors that the corners of a view share, such as those
     by the bend of the board. The lens without a view is one Gauss-Newton step away from that of all
-    views, whose errors (V, 2 K) [px] and derivatives (V, 2 K, n) are given: see `without_poses`;
-    `before` is that of `noise_covariance`.
+    views, whose errors (V, 2 K) [px] and derivatives (V, 2 K, n) are given: see `without_poses`.
     """
     V, (H, g) = len(errors), _by_view(errors, rest)
-    total = H.sum(axis=0) if before is None else H.sum(axis=0) + before
-    moved = _solve(total - H, g)
+    moved = _solve(H.sum(axis=0) - H, g)
     moved -= moved.mean(axis=0)
     return (V - 1) / V * moved.T @ moved
 

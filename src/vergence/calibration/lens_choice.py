@@ -24,7 +24,7 @@ from vergence.calibration.lenses import (
     fit_model,
     pinhole_start,
 )
-from vergence.calibration.observations import KnownLens, Observations
+from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
 from vergence.vision.board_pose import determines_pose, seen_corners
@@ -82,7 +82,8 @@ def choose_lenses(
     """Choose the lens model of every camera by views in which the eyes stood still.
 
     The lens is stated for all cameras, or by camera (those left out: "auto"); "auto" becomes the
-    best one, or that of the paper. VergenceError for an unknown model or camera.
+    best one, or that of the paper; known lenses keep theirs. VergenceError for an unknown model or
+    camera.
     """
     names = list(observations.corners)
     stated: dict[str, LensOption] = dict.fromkeys(names, lens if isinstance(lens, str) else "auto")
@@ -98,14 +99,9 @@ def choose_lenses(
         raise VergenceError(
             f"There is no lens model {wrong[0]!r}; there are auto, {', '.join(FREE_COEFFICIENTS)}."
         )
-    for name, known in observations.known_lenses.items():
-        own = known_model(known)
-        if stated.get(name) not in (None, "auto", own):
-            raise VergenceError(
-                f"{name} has a known lens of the model {own}; {stated[name]} was asked for. Leave "
-                "one of the two out."
-            )
-        stated |= {name: own} if name in stated else {}
+    for name, (camera, _) in observations.known_lenses.items():
+        k3 = camera.model == "radial-tangential" and camera.distortion[-1] != 0
+        stated[name] = "radial-tangential-k3" if k3 else camera.model
     usual, points = lenses_of_the_paper(observations), corner_points(observations.board)
     choices: dict[str, LensChoice] = {}
     for name, model in stated.items():
@@ -117,16 +113,6 @@ def choose_lenses(
             corners, size = observations.corners[name], observations.sizes[name]
             choices[name] = best_lens(corners, points, size=size, otherwise=usual[name])
     return choices
-
-
-def known_model(known: KnownLens) -> LensModel:
-    """Name the lens model that contains a known lens."""
-    lens = known.camera
-    if lens.model != "radial-tangential":
-        return lens.model
-    if known.std_percent == 0 and not lens.distortion.any():
-        return "none"
-    return "radial-tangential-k3" if lens.distortion[-1] else "radial-tangential"
 
 
 def best_lens(

@@ -7,7 +7,6 @@ order, how well a view would have been predicted without it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -17,7 +16,6 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.calibration.priors import EQUIDISTANT, lens_block, lens_priors
 from vergence.estimation.least_squares import TOLERANCE, least_squares
-from vergence.estimation.residual import Residual
 from vergence.estimation.variables import Variables
 from vergence.geometry.camera import Camera, pinhole
 from vergence.geometry.lens import PINHOLE, distort
@@ -97,18 +95,17 @@ def fit_lens(
     *,
     iterations: int = 60,
     tolerance: float = TOLERANCE,
-    priors: Sequence[Residual] = (),
 ) -> LensFit:
     """Fit a lens to views of a board, by the likelihood of the noise level that makes it largest.
 
     The fit starts from a camera and boards T_cam_target (V, 4, 4); the intrinsics with indices
-    `free` (n,) may change, of which `priors` may know something. Pixels (V, K, 2) are NaN where
-    corners (K, 3) were not seen. ValueError if a corner has no place in the image at the start.
+    `free` (n,) may change. Pixels (V, K, 2) are NaN where corners (K, 3) were not seen. ValueError
+    if a corner has no place in the image at the start.
     """
     views = BoardViews(corners=corners, points=points)
     last = len(PINHOLE) + len(camera.distortion) - 1
     found = least_squares(
-        [views, *lens_priors(camera, last in free), *priors],
+        [views, *lens_priors(camera, last in free)],
         Variables({"lens": lens_block(camera, free)}, board_latent(T_cam_target)),
         iterations=iterations,
         tolerance=tolerance,

@@ -30,15 +30,6 @@ NO_CORNERS, UNREADABLE_IMAGE = "no-corners", "unreadable-image"
 
 
 @dataclass(frozen=True, eq=False)
-class KnownLens:
-    """Intrinsics of a camera that were known before."""
-
-    camera: Camera
-    std_percent: float
-    """Standard deviation, see DatasetCamera.intrinsics_std_percent; 0: exact."""
-
-
-@dataclass(frozen=True, eq=False)
 class Observations:
     """What the cameras saw of a board with K corners in V views, and what the joints read.
 
@@ -70,8 +61,8 @@ class Observations:
     last_motion: Array | None = None
     """(V, r) sign of the last motion of each reading before it was read: 1, -1, or 0 where it is
     not known; None: found from the readings, if each view was reached from the one before."""
-    known_lenses: Mapping[str, KnownLens] = field(default_factory=dict)
-    """By camera, where intrinsics were known before."""
+    known_lenses: Mapping[str, tuple[Camera, float]] = field(default_factory=dict)
+    """By camera, where intrinsics were known before, and DatasetCamera.intrinsics_std_percent."""
     lines: np.ndarray | None = None
     """(V,) lines of frames.csv; None: views have no lines."""
     findings: tuple[Finding, ...] = ()
@@ -135,12 +126,6 @@ class Observations:
                 raise VergenceError(
                     f"sizes needs the width and height of {name}'s images [px], such as "
                     f"(640, 480); found {self.sizes.get(name)!r:.80}."
-                )
-        for name, lens in self.known_lenses.items():
-            if name in self.corners and lens.camera.size != tuple(self.sizes[name]):
-                raise VergenceError(
-                    f"known_lenses.{name} is for images of {lens.camera.size} px; those of {name} "
-                    f"have {tuple(self.sizes[name])}."
                 )
         for name, eye in self.eyes.items():
             if eye not in EYES:
@@ -221,7 +206,7 @@ class PoseObservations:
     eye_angles: Array
     T_base_eye: Array | None
     timing: ClassVar[None] = None
-    known_lenses: ClassVar[Mapping[str, KnownLens]] = {}
+    known_lenses: ClassVar[Mapping[str, tuple[Camera, float]]] = {}
 
     def last_motions(self) -> Array:
         """Return zeros (V, r): the views come in any order."""

@@ -186,29 +186,6 @@ def known_lens_std(lens: Camera, percent: float) -> Array:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class StatedLens(Residual):
-    """Intrinsics that were known before, of a camera of the head or of the block "lens"."""
-
-    stated: Camera
-    std: Array
-    """(n,) in the order of `camera.intrinsics_names`."""
-    camera: str | None = None
-    """Its name in the head; None: the block "lens"."""
-    robust: bool = False
-
-    def error(self, x: Variables) -> Array:
-        lens = x["lens"] if self.camera is None else x["head"].cameras[self.camera].intrinsics
-        return ((lens_vector(lens) - lens_vector(self.stated)) / self.std)[None]
-
-    def rows(self, x: Variables) -> Rows:
-        if self.camera is None:
-            columns = x.columns("lens")
-        else:
-            columns = x.columns("head")[camera_columns(x["head"], self.camera)]
-        return Rows(np.diag(1 / self.std)[None], columns[None, : len(self.std)])
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
 class BoardSize(Residual):
     """The side of the board's squares, measured by hand or stated by a printer."""
 

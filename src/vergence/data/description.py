@@ -48,7 +48,7 @@ class DatasetCamera:
     """Image height [px]."""
     intrinsics: Camera | None = None
     """Known intrinsics; without `intrinsics_std_percent` for other programs only."""
-    intrinsics_std_percent: Annotated[float, Field(ge=0, le=20)] | None = None
+    intrinsics_std_percent: Annotated[float, Field(ge=0, le=5)] | None = None
     """How well calibration takes the intrinsics to be known: standard deviation of the focal
     lengths [%], of the principal point [% of half the image], and of what each coefficient moves
     the image's corner [% of its distance]; 0: exactly. None: they are not used."""
@@ -136,15 +136,9 @@ class Description:
             found = f"found {len(self.cameras)}" if self.cameras else "cameras is empty"
             yield f"a dataset has 1 to {MAX_CAMERAS} cameras; {found}"
         for name, camera in self.cameras.items():
-            lens = camera.intrinsics
-            if camera.intrinsics_std_percent is not None and (
-                lens is None or lens.size != (camera.width, camera.height)
-            ):
-                size = "none" if lens is None else f"those of {lens.width} x {lens.height} px"
-                yield (
-                    f"cameras.{name}.intrinsics_std_percent needs intrinsics for images of "
-                    f"{camera.width} x {camera.height} px; found {size}"
-                )
+            size = camera.intrinsics.size if camera.intrinsics is not None else None
+            if camera.intrinsics_std_percent is not None and size != (camera.width, camera.height):
+                yield f"cameras.{name}.intrinsics_std_percent needs intrinsics of that image size"
             side = name.partition("_")[0]
             if side in EYES and side != camera.eye:
                 yield (

@@ -50,7 +50,7 @@ class CameraSource:
     """Channel with its images."""
     lens: str | None = None
     """Channel with its lens; None: unknown."""
-    intrinsics_std_percent: Annotated[float, Field(ge=0, le=20)] | None = None
+    intrinsics_std_percent: Annotated[float, Field(ge=0, le=5)] | None = None
     """As in dataset.json: how well that lens is known; 0: exactly, None: it is not used."""
 
 
