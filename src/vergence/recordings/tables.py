@@ -160,11 +160,11 @@ def _read(file: Path) -> _Table | None:
             parse_options=csv.ParseOptions(delimiter=chr(delimiter)),
             convert_options=csv.ConvertOptions(strings_can_be_null=True),
         )
+        titles = [title.strip(" \t#%") for title in table.column_names]
     except (pyarrow.ArrowException, ValueError) as error:
         raise VergenceError(f"{file} cannot be read as a csv: {explain(error)}.") from error
     numbers: dict[str, Array] = {}
     files: dict[str, list[str | None]] = {}
-    titles = [title.strip(" \t#%") for title in table.column_names]
     if len(set(titles)) < len(titles):
         raise VergenceError(f"{file} has two columns of one name.")
     for name, column in zip(titles, table.columns, strict=True):
@@ -175,7 +175,7 @@ def _read(file: Path) -> _Table | None:
             if any((cell or "").lower().endswith(IMAGE_SUFFIXES) for cell in cells):
                 files[name] = cells
             elif any(_NUMBER.fullmatch(cell or "") for cell in cells):
-                text = next(cell for cell in cells if cell and not _NUMBER.fullmatch(cell))
+                text = next((c for c in cells if c and not _NUMBER.fullmatch(c)), cells[0])
                 where = f"row {cells.index(text) + 1} of column {name}"
                 raise VergenceError(f"{file} has {text!r:.60} among numbers, in {where}.")
     times = [name for name in numbers if _TIME.search(name.lower())]
