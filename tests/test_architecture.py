@@ -34,9 +34,8 @@ OUTER_LIBRARIES = {
     "joblib": ("parallel",),
     "pyarrow": ("recordings",),
     "av": ("recordings.video",),
-    "rosbags": ("recordings.ros", "recordings.bag", "recordings.bag_limits"),
-    "apsw": ("recordings.bag_limits",),
-    "lz4": ("recordings.bag_limits",),
+    "rosbags": ("recordings.ros", "recordings.bag"),
+    "lz4": ("recordings.ros",),
     "tyro": ("cli",),
     "rich": ("cli",),
 }

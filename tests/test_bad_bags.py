@@ -13,14 +13,13 @@ import numpy as np
 import pytest
 from lz4.frame import compress as lz4_compress
 from rosbags.rosbag1 import Writer as Ros1Writer
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, storage_mcap
 from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from test_bags import bag_name, contents
 from vergence.errors import VergenceError
 from vergence.recordings.bag import write_bag
-from vergence.recordings.bag_limits import zstd
 from vergence.recordings.formats import open_recording
 from vergence.recordings.scan import scan
 
@@ -32,7 +31,7 @@ MOST_S, MOST_BYTES = 10, 10**9
 def refusal(path: Path) -> str:
     """Read all of a recording and return the sentence with which it is refused."""
     with pytest.raises(VergenceError) as refused, open_recording(path) as recording:
-        scan(recording)
+        scan(recording, list(recording.channels))
     assert "\n" not in str(refused.value)
     assert str(path) in str(refused.value)
     return str(refused.value)
@@ -117,22 +116,16 @@ def test_metadata_cannot_name_files_outside(tmp_path: Path):
 
 
 def test_other_types_are_listed_and_refused_when_read(tmp_path: Path):
-    """Also a type of ROS that this bag defines otherwise."""
     store = get_typestore(Stores.ROS1_NOETIC)
     store.register(get_types_from_msg("float64[] q", "acme_msgs/msg/Arm"))
-    other = get_typestore(Stores.EMPTY)
-    other.register(get_types_from_msg("float64[] q", "sensor_msgs/msg/JointState"))
     with Ros1Writer(tmp_path / "a.bag") as writer:
         arm = writer.add_connection("/arm", "acme_msgs/msg/Arm", typestore=store)
-        joints = writer.add_connection("/j", "sensor_msgs/msg/JointState", typestore=other)
         message = store.types["acme_msgs/msg/Arm"](np.zeros(2))
-        for connection in (arm, joints):
-            writer.write(connection, 10**18, store.serialize_ros1(message, "acme_msgs/msg/Arm"))
+        writer.write(arm, 10**18, store.serialize_ros1(message, "acme_msgs/msg/Arm"))
     with open_recording(tmp_path / "a.bag") as recording:
-        assert {each.kind for each in recording.channels.values()} == {"other"}
-        for name, kind in (("/arm", "acme_msgs/msg/Arm"), ("/j", "sensor_msgs/msg/JointState")):
-            with pytest.raises(VergenceError, match=f"{name} has messages of type {kind} with def"):
-                next(recording.read([name], None, None))
+        assert recording.channels["/arm"].kind == "other"
+        with pytest.raises(VergenceError, match="/arm has messages of type acme_msgs/msg/Arm; typ"):
+            next(recording.read(["/arm"], None, None))
 
 
 @pytest.mark.parametrize("compression", ["bz2", "lz4", "message", "file", "storage"])
@@ -184,16 +177,6 @@ def test_a_bare_file_is_read(tmp_path: Path, suffix: str):
         assert len(list(recording.read(list(recording.channels), None, None))) == 21
 
 
-def test_split_bags_of_ros_1_are_one_recording(tmp_path: Path):
-    messages = list(contents(4))
-    for number, part in enumerate((messages[:14], messages[14:])):
-        write_bag(tmp_path / f"run_{number}.bag", part, storage="ros1")
-    with open_recording(tmp_path) as recording:
-        assert recording.channels["/joints"].count == 4
-        found = [each.stamp_ns for each in recording.read(["/joints"], None, None)]
-    assert found == [each.stamp_ns for each in messages if each.channel == "/joints"]
-
-
 BOMB_BYTES = 2**29
 """Zeros in a chunk that is 20,000 times smaller in its file; more take too long to make."""
 
@@ -217,7 +200,10 @@ def lies(folder: Path) -> list[Path]:
     record = new("record", "mcap") / "a.mcap"
     record.write_bytes(with_long_record(record.read_bytes()))
     zeros = bytes(BOMB_BYTES)
-    for compression, packed in (("lz4", lz4_compress(zeros)), ("zstd", zstd.compress(zeros))):
+    for compression, packed in (
+        ("lz4", lz4_compress(zeros)),
+        ("zstd", storage_mcap.zstd.compress(zeros)),
+    ):
         bomb = new(compression, "mcap") / "a.mcap"
         bomb.write_bytes(mcap_of(compression, packed))
     image = new("image", "mcap") / "a.mcap"
@@ -253,7 +239,7 @@ for path in sys.argv[1:]:
     began = time.process_time()
     try:
         with open_recording(path) as recording:
-            scan(recording)
+            scan(recording, list(recording.channels))
         print("read", path)
     except VergenceError as error:
         print("refused", error)

@@ -7,8 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from vergence.errors import VergenceError
-from vergence.geometry.camera import Camera, pinhole, project
+from vergence.geometry.camera import Camera, pinhole
 from vergence.recordings.ros_images import camera_lens, compressed_image, raw_image
 
 HEIGHT, WIDTH = 24, 30
@@ -48,7 +47,7 @@ def encoded(rgb: np.ndarray, encoding: str) -> np.ndarray:
     if encoding in ("mono8", "8UC1", "mono16", "16UC1"):
         return rgb[..., 1]
     order = {"r": [0, 1, 2], "b": [2, 1, 0], "8": [2, 1, 0]}[encoding[0]]
-    alpha = [np.full((HEIGHT, WIDTH), 77)] if "a8" in encoding or encoding == "8UC4" else []
+    alpha = [np.full((HEIGHT, WIDTH), 77)] if "a8" in encoding else []
     return np.stack([*(rgb[..., k] for k in order), *alpha], axis=-1).reshape(HEIGHT, -1)
 
 
@@ -62,8 +61,8 @@ DEEP = 256
 @pytest.mark.parametrize("big", [False, True])
 @pytest.mark.parametrize(
     "encoding",
-    ["mono8", "8UC1", "mono16", "16UC1", "rgb8", "rgb16", "bgr8", "8UC3", "bgr16", "rgba8"]
-    + ["bgra8", "8UC4", "yuv422", "uyvy", "yuv422_yuy2", "yuyv"]
+    ["mono8", "8UC1", "mono16", "16UC1", "rgb8", "bgr8", "8UC3", "rgba8", "bgra8"]
+    + ["yuv422", "uyvy", "yuv422_yuy2", "yuyv"]
     + [f"bayer_{order}{bits}" for order in ("rggb", "bggr", "gbrg", "grbg") for bits in (8, 16)],
 )  # fmt: skip
 def test_an_encoding_shows_the_picture(encoding: str, big: bool, padding: int):
@@ -73,7 +72,7 @@ def test_an_encoding_shows_the_picture(encoding: str, big: bool, padding: int):
     stored = (rows.astype(int) * (DEEP if deep else 1)).astype(kind)
     data = stored.view(np.uint8).reshape(HEIGHT, -1)
     padded = np.pad(data, ((0, 0), (0, padding)), constant_values=255)
-    found = raw_image(image_message(encoding, padded, is_bigendian=big), "here")
+    found = raw_image(image_message(encoding, padded, is_bigendian=big))
     assert found.dtype == (np.uint16 if deep else np.uint8)
     expected = picture[..., 1] if found.ndim == 2 else picture
     assert (found.ndim == 2) == (encoding in ("mono8", "8UC1", "mono16", "16UC1"))
@@ -91,19 +90,19 @@ def image_message(encoding: str, rows: np.ndarray, **fields: Any) -> SimpleNames
 @pytest.mark.parametrize(
     ("fields", "said"),
     [
-        ({"encoding": "32FC1"}, "encoding '32FC1'; known are mono8"),
-        ({"step": WIDTH - 1}, "in rows of 29; mono8 needs 30 bytes a row"),
-        ({"height": HEIGHT + 1}, "of 30 x 25 pixels and 720 bytes"),
-        ({"height": 0}, "30 x 0 pixels"),
-        ({"height": 2**31, "step": 2**31, "width": 2**31}, "images have 1 to 50,000,000 pixels"),
-        ({"encoding": "yuv422", "width": 15, "step": 30}, "15 x 24 pixels, a size that yuv422"),
+        ({"encoding": "32FC1"}, "encoding is '32FC1'; known are mono8"),
+        ({"step": WIDTH - 1}, "reshape"),
+        ({"height": HEIGHT + 1}, "reshape"),
+        ({"height": 0}, "no pixels"),
+        ({"height": 2**31, "step": 2**31, "width": 2**31}, "reshape"),
+        ({"encoding": "yuv422", "width": 15, "step": 30}, "OpenCV"),
     ],
 )
 def test_an_impossible_image_is_refused(fields: dict[str, Any], said: str):
     message = image_message("mono8", encoded(smooth_picture(), "mono8"))
     vars(message).update(fields)
-    with pytest.raises(VergenceError, match=said):
-        raw_image(message, "here")
+    with pytest.raises((ValueError, cv2.error), match=said):
+        raw_image(message)
 
 
 @pytest.mark.parametrize(
@@ -121,34 +120,28 @@ def test_a_compressed_image_shows_the_picture(format: str, suffix: str, toleranc
     assert np.abs(found.astype(int) - picture).max() <= tolerance
 
 
-def test_a_compressed_mosaic_and_grey_and_swapped_pictures_are_decoded():
-    picture = smooth_picture()
-    mosaic = compressed(encoded(picture, "bayer_gbrg8"), "bayer_gbrg8; png compressed ")
-    np.testing.assert_allclose(mosaic[2:-2, 2:-2], picture[2:-2, 2:-2], atol=4)
-    deep = picture[..., 0].astype(np.uint16) * DEEP
+def test_compressed_images_may_be_grey_and_deep():
+    deep = smooth_picture()[..., 0].astype(np.uint16) * DEEP
     np.testing.assert_array_equal(compressed(deep, "mono16; png compressed "), deep)
-    np.testing.assert_array_equal(compressed(picture, "rgb8; png compressed rgb8"), picture)
 
 
 def compressed(image: np.ndarray, format: str, suffix: str = ".png") -> np.ndarray:
     data = cv2.imencode(suffix, image)[1].ravel()
-    return compressed_image(SimpleNamespace(format=format, data=data), "here")
+    return compressed_image(SimpleNamespace(format=format, data=data))
 
 
 @pytest.mark.parametrize("data", [b"", b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff\xe0" + bytes(99)])
 def test_a_damaged_compressed_image_is_refused(data: bytes):
     message = SimpleNamespace(format="jpeg", data=np.frombuffer(data, np.uint8))
-    with pytest.raises(VergenceError, match="image of format 'jpeg' that is damaged"):
-        compressed_image(message, "here")
+    with pytest.raises(ValueError, match="image of format 'jpeg' is damaged"):
+        compressed_image(message)
 
 
 def lens_message(camera: Camera, name: str, *, ros1: bool, **fields: Any) -> SimpleNamespace:
     names = ("K", "D") if ros1 else ("k", "d")
     matrix = dict(zip(names, (camera.matrix.ravel(), camera.distortion), strict=True))
-    part = SimpleNamespace(x_offset=0, y_offset=0, width=0, height=0, do_rectify=False)
-    stated = {"width": camera.width, "height": camera.height, "roi": part} | matrix
-    stated |= {"distortion_model": name, "binning_x": 0, "binning_y": 0}
-    return SimpleNamespace(**stated | fields)
+    stated = {"width": camera.width, "height": camera.height, "distortion_model": name}
+    return SimpleNamespace(**stated | matrix | fields)
 
 
 LENSES = {
@@ -161,7 +154,7 @@ LENSES = {
 @pytest.mark.parametrize("ros1", [False, True])
 @pytest.mark.parametrize("name", LENSES)
 def test_lenses_of_all_models_are_read(name: str, ros1: bool):
-    found = camera_lens(lens_message(LENSES[name], name, ros1=ros1), "here")
+    found = camera_lens(lens_message(LENSES[name], name, ros1=ros1))
     assert (found.size, found.model) == (LENSES[name].size, LENSES[name].model)
     np.testing.assert_array_equal(found.matrix, LENSES[name].matrix)
     np.testing.assert_array_equal(found.distortion, LENSES[name].distortion)
@@ -170,37 +163,24 @@ def test_lenses_of_all_models_are_read(name: str, ros1: bool):
 def test_coefficients_of_zero_may_be_missing_or_too_many():
     few, many = np.array([-0.2, 0.1, 0, 0]), np.array([0.1] * 8 + [0.0] * 6)
     short = lens_message(LENSES["plumb_bob"], "plumb_bob", ros1=False, d=few)
-    np.testing.assert_array_equal(camera_lens(short, "").distortion, [-0.2, 0.1, 0, 0, 0])
+    np.testing.assert_array_equal(camera_lens(short).distortion, [-0.2, 0.1, 0, 0, 0])
     long = lens_message(LENSES["plumb_bob"], "rational_polynomial", ros1=False, d=many)
-    np.testing.assert_array_equal(camera_lens(long, "").distortion, many[:8])
+    np.testing.assert_array_equal(camera_lens(long).distortion, many[:8])
     ideal = lens_message(LENSES["plumb_bob"], "", ros1=False, d=np.zeros(0))
-    assert camera_lens(ideal, "").model == "radial-tangential"
-
-
-def test_a_part_of_the_sensor_with_binned_pixels_has_its_own_lens():
-    whole = LENSES["plumb_bob"]
-    part = SimpleNamespace(x_offset=100, y_offset=40, width=400, height=300, do_rectify=False)
-    message = lens_message(whole, "plumb_bob", ros1=False, roi=part, binning_x=2, binning_y=2)
-    found = camera_lens(message, "here")
-    assert found.size == (200, 150)
-    points = np.array([[0.1, -0.05, 1.0], [-0.2, 0.1, 1.5]])
-    # The centre of four pixels 2 i and 2 i + 1 lies at 2 i + 0.5.
-    np.testing.assert_allclose(
-        2 * project(found, points) + 0.5, project(whole, points) - [100, 40], atol=1e-9
-    )
+    assert camera_lens(ideal).model == "radial-tangential"
 
 
 @pytest.mark.parametrize(
     ("fields", "said"),
     [
-        ({"k": np.zeros(9)}, "states no lens: its camera matrix is zero"),
-        ({"distortion_model": "thin_prism"}, "model 'thin_prism'; known are plumb_bob"),
-        ({"width": 0}, "impossible lens: width: .*found 0"),
+        ({"k": np.zeros(9)}, "focal lengths are positive"),
+        ({"distortion_model": "thin_prism"}, "model is 'thin_prism'; known are plumb_bob"),
+        ({"width": 0}, "greater than 0"),
         ({"d": np.arange(14.0)}, "distortion has 5 coefficients, found 14"),
-        ({"k": np.full(9, np.nan)}, "impossible lens: matrix: expected finite numbers"),
+        ({"k": np.full(9, np.nan)}, "expected finite numbers"),
     ],
 )
 def test_an_impossible_lens_is_refused(fields: dict[str, Any], said: str):
     message = lens_message(LENSES["plumb_bob"], "plumb_bob", ros1=False, **fields)
-    with pytest.raises(VergenceError, match=said):
-        camera_lens(message, "here")
+    with pytest.raises(ValueError, match=said):
+        camera_lens(message)

@@ -152,5 +152,5 @@ def test_joints_have_their_own_rate_and_lose_messages(tmp_path: Path):
     ("rate", "missing"), [(-1, 0.0), (1e5, 0.0), (97, 1.0), (97, float("nan"))]
 )
 def test_impossible_streams_are_refused(rate: float, missing: float):
-    with pytest.raises(VergenceError, match="at 0 to 2000 Hz, less a part from 0 to below 1"):
+    with pytest.raises(VergenceError, match="at 0 to 1000 Hz, and 0 to below 1"):
         BagSettings("mcap", rate, missing)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,22 +14,17 @@ from rosbags.rosbag2 import Writer as Ros2Writer
 from scipy.spatial.transform import Rotation
 
 from vergence.errors import VergenceError
-from vergence.files import check_writable, whole_file, whole_folder
+from vergence.files import whole_file, whole_folder
 from vergence.geometry.camera import Camera
 from vergence.interchange.ros import DISTORTION_MODELS
-from vergence.recordings.recording import Content, FramePose, JointSample, Message
+from vergence.recordings.recording import Content, JointSample, Message
 from vergence.recordings.ros import typestore
 
 Storage = Literal["ros1", "ros2", "mcap"]
 """A ROS 1 bag, and ROS 2 bags in SQLite and in MCAP."""
 COMPRESSED = "/compressed"
 """Ending of channels whose images are written as PNG; image_transport names them so."""
-_ENCODINGS = {
-    (np.dtype(np.uint8), 2): "mono8",
-    (np.dtype(np.uint8), 3): "rgb8",
-    (np.dtype(np.uint16), 2): "mono16",
-    (np.dtype(np.uint16), 3): "rgb16",
-}
+_ENCODINGS = {("uint8", 2): "mono8", ("uint8", 3): "rgb8", ("uint16", 2): "mono16"}
 """Encodings by type and number of dimensions of an image."""
 
 
@@ -46,36 +40,26 @@ def write_bag(path: Path | str, messages: Iterable[Message], *, storage: Storage
     """Write messages into a new bag, in their order.
 
     A ROS 1 bag is a file; the others are folders with a metadata.yaml. The type of a channel is
-    that of its first message; an image of float is not possible. VergenceError if the bag exists
-    or cannot be written.
+    that of its first message. VergenceError if the bag exists or cannot be written.
     """
-    path = Path(path)
-    store = typestore(ros1=storage == "ros1")
-    serialize = store.serialize_ros1 if storage == "ros1" else store.serialize_cdr
-    connections: dict[str, Any] = {}
-    with _writer(path, storage) as writer:
-        for each in messages:
-            ros = _ros_message(each, store.types, ros1=storage == "ros1")
-            kind = ros.__msgtype__
-            if each.channel not in connections:
-                added = writer.add_connection(each.channel, kind, typestore=store)
-                connections[each.channel] = added
-            writer.write(connections[each.channel], each.received_ns, serialize(ros, kind))
-
-
-@contextmanager
-def _writer(path: Path, storage: Storage) -> Iterator[Any]:
-    if check_writable(path, folder=storage != "ros1").exists() and storage == "ros1":
+    path, ros1 = Path(path), storage == "ros1"
+    if ros1 and path.exists():
         raise VergenceError(f"{path} already exists; name another bag, or remove it.")
-    if storage == "ros1":
-        with whole_file(path) as part, Ros1Writer(part) as writer:
-            yield writer
-        return
-    plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
-    with whole_folder(path) as part:
-        part.rmdir()  # the library makes it
-        with Ros2Writer(part, version=9, storage_plugin=plugin) as writer:
-            yield writer
+    store = typestore(ros1=ros1)
+    serialize = store.serialize_ros1 if ros1 else store.serialize_cdr
+    connections: dict[str, Any] = {}
+    with (whole_file if ros1 else whole_folder)(path) as part:
+        if not ros1:
+            part.rmdir()  # the library makes it
+        plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
+        new = Ros1Writer(part) if ros1 else Ros2Writer(part, version=9, storage_plugin=plugin)
+        with new as writer:
+            for each in messages:
+                ros = _ros_message(each, store.types, ros1=ros1)
+                kind, name = ros.__msgtype__, each.channel
+                if name not in connections:
+                    connections[name] = writer.add_connection(name, kind, typestore=store)
+                writer.write(connections[name], each.received_ns, serialize(ros, kind))
 
 
 def _ros_message(each: Message, types: dict[str, Any], *, ros1: bool) -> Any:
@@ -89,44 +73,31 @@ def _ros_message(each: Message, types: dict[str, Any], *, ros1: bool) -> Any:
         return make("std_msgs/Header", *([0] if ros1 else []), stamp, frame)
 
     content, frame = each.decode(), each.channel.strip("/").removesuffix(COMPRESSED)
+    if isinstance(content, np.ndarray) and each.channel.endswith(COMPRESSED):
+        shown = content if content.ndim == 2 else cv2.cvtColor(content, cv2.COLOR_RGB2BGR)
+        data = cv2.imencode(".png", shown)[1].ravel()
+        return make("sensor_msgs/CompressedImage", header(frame), "png", data)
     if isinstance(content, np.ndarray):
-        if each.channel.endswith(COMPRESSED):
-            shown = content if content.ndim == 2 else cv2.cvtColor(content, cv2.COLOR_RGB2BGR)
-            data = cv2.imencode(".png", shown)[1].ravel()
-            return make("sensor_msgs/CompressedImage", header(frame), "png", data)
-        encoding = _ENCODINGS[content.dtype, content.ndim]
+        size, encoding = content.shape[:2], _ENCODINGS[content.dtype.name, content.ndim]
         rows = np.ascontiguousarray(content).view(np.uint8).reshape(len(content), -1)
-        size = *content.shape[:2], encoding, 0, rows.shape[1]
-        return make("sensor_msgs/Image", header(frame), *size, rows.ravel())
+        fields = header(frame), *size, encoding, 0, rows.shape[1], rows.ravel()
+        return make("sensor_msgs/Image", *fields)
     if isinstance(content, JointSample):
-        nothing = np.zeros(0)
-        values = np.asarray(content.values, float)
-        return make(
-            "sensor_msgs/JointState", header(""), list(content.names), values, nothing, nothing
-        )
+        values, nothing = np.asarray(content.values, float), np.zeros(0)
+        fields = header(""), list(content.names), values, nothing, nothing
+        return make("sensor_msgs/JointState", *fields)
     if isinstance(content, Camera):
-        K, P = content.matrix.ravel(), np.pad(content.matrix, ((0, 0), (0, 1))).ravel()
-        model, region = DISTORTION_MODELS[content.model], (0, 0, 0, 0, False)
-        return make(
-            "sensor_msgs/CameraInfo",
-            header(frame),
-            content.height,
-            content.width,
-            model,
-            np.array(content.distortion),
-            K,
-            np.eye(3).ravel(),
-            P,
-            0,
-            0,
-            make("sensor_msgs/RegionOfInterest", *region),
-        )
-
-    def transform(each: FramePose) -> Any:
-        q = Rotation.from_matrix(each.T_parent_child[:3, :3]).as_quat().tolist()
-        t = each.T_parent_child[:3, 3].tolist()
-        turn, shift = make("geometry_msgs/Quaternion", *q), make("geometry_msgs/Vector3", *t)
-        at = make("geometry_msgs/Transform", shift, turn)
-        return make("geometry_msgs/TransformStamped", header(each.parent), each.child, at)
-
-    return types["tf2_msgs/msg/TFMessage"]([transform(each) for each in content])
+        whole = make("sensor_msgs/RegionOfInterest", 0, 0, 0, 0, False)
+        lens = DISTORTION_MODELS[content.model], np.array(content.distortion)
+        K, P = content.matrix, np.pad(content.matrix, ((0, 0), (0, 1)))
+        matrices = (matrix.ravel() for matrix in (K, np.eye(3), P))
+        fields = header(frame), content.height, content.width, *lens, *matrices, 0, 0, whole
+        return make("sensor_msgs/CameraInfo", *fields)
+    found = []
+    for frame_pose in content:
+        q = Rotation.from_matrix(frame_pose.T_parent_child[:3, :3]).as_quat().tolist()
+        t = make("geometry_msgs/Vector3", *frame_pose.T_parent_child[:3, 3].tolist())
+        transform = make("geometry_msgs/Transform", t, make("geometry_msgs/Quaternion", *q))
+        fields = header(frame_pose.parent), frame_pose.child, transform
+        found.append(make("geometry_msgs/TransformStamped", *fields))
+    return types["tf2_msgs/msg/TFMessage"](found)

@@ -7,28 +7,27 @@ versions. Definitions in a bag are not used: the library makes code of them.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection, Iterator
+from bz2 import BZ2Decompressor
+from collections.abc import Collection, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
-from functools import partial
-from heapq import merge
+from functools import cache, partial
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rosbags.interfaces import Connection
+from lz4.frame import LZ4FrameDecompressor
 from rosbags.rosbag1 import Reader as Ros1Reader
-from rosbags.rosbag1 import ReaderError as Ros1Error
+from rosbags.rosbag1 import reader as ros1_library
 from rosbags.rosbag2 import Reader as Ros2Reader
-from rosbags.rosbag2 import ReaderError as Ros2Error
+from rosbags.rosbag2 import storage_mcap as mcap_library
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 from scipy.spatial.transform import Rotation
 
 from vergence.errors import VergenceError, explain
+from vergence.files import file_inside, read_bytes
 from vergence.geometry.se3 import pose
-from vergence.recordings.bag_limits import METADATA, check_folder, limit_opened
 from vergence.recordings.recording import (
     Channel,
     Content,
@@ -41,6 +40,7 @@ from vergence.recordings.recording import (
 from vergence.recordings.ros_images import camera_lens, compressed_image, raw_image
 
 SUFFIXES = (".bag", ".db3", ".mcap")
+METADATA = "metadata.yaml"
 KINDS: dict[str, Kind] = {
     "sensor_msgs/msg/Image": "images",
     "sensor_msgs/msg/CompressedImage": "images",
@@ -50,18 +50,14 @@ KINDS: dict[str, Kind] = {
     "tf/msg/tfMessage": "poses",
 }
 """Kinds of channel by the type of their messages."""
+MAX_CHUNK_BYTES = 2**28
+"""Largest part of a bag that is decompressed [bytes]; an image of 50 million pixels has 150 MB, and
+recorders write parts of 1 to 4 MB."""
+MAX_METADATA_BYTES = 2**19
+"""Largest metadata.yaml [bytes]; one of 500 topics has 400 kB, which the library parses in 3 s."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Bag:
-    path: Path
-    readers: list[Ros1Reader] | list[Ros2Reader]
-    types: Typestore
-    ros1: bool
-    decompress: Callable[[bytes], bytes] = bytes
-    """Decompresses a message."""
-
-
+@cache
 def typestore(*, ros1: bool) -> Typestore:
     """Make the library's store of message types, with all types in KINDS."""
     store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
@@ -71,93 +67,97 @@ def typestore(*, ros1: bool) -> Typestore:
 
 
 def recognise(path: Path) -> bool:
-    """Test whether a path is a bag by its name or its metadata, or a folder of split ROS 1 bags."""
-    return (
-        path.suffix in SUFFIXES
-        or os.path.exists(path / METADATA)
-        or any(path.glob("*.bag") if os.path.isdir(path) else ())
-    )
+    """Test whether a path is a bag by its name or its metadata."""
+    return path.suffix in SUFFIXES or os.path.exists(path / METADATA)
 
 
 @contextmanager
 def open_recording(path: Path) -> Iterator[Recording]:
     """Open a bag; VergenceError if it is damaged."""
+    _check_files(path)
     with ExitStack() as stack:
-        with _explained(path):
-            bag = _open(path, stack)
-            channels: dict[str, Channel] = {}
-            for each in (each for reader in bag.readers for each in reader.connections):
-                before = channels.get(each.topic)
-                kind = before.kind if before else _kind(bag, each)
-                count = each.msgcount + (before.count if before else 0)
-                channels[each.topic] = Channel(each.topic, kind, each.msgtype, count)
-        yield Recording(path, dict(sorted(channels.items())), partial(_read, bag))
+        _bound_decompression(stack)
+        with _explained(str(path)):
+            ros1 = path.suffix == ".bag" and path.is_file()
+            reader = stack.enter_context(Ros1Reader(path) if ros1 else Ros2Reader(path))
+            channels = {
+                name: Channel(name, KINDS.get(kind or "", "other"), str(kind), count)
+                for name, (kind, _, count, _) in reader.topics.items()
+            }
+        yield Recording(path, channels, partial(_read, path, reader))
 
 
-def _open(path: Path, stack: ExitStack) -> _Bag:
-    files = [path]
+def _check_files(path: Path) -> None:
+    """Raise VergenceError where the library would open a pipe, a file elsewhere or a huge list."""
     if os.path.isdir(path):
-        check_folder(path)
-        if not os.path.exists(path / METADATA):
-            files = sorted(path.glob("*.bag"))
-    elif not os.path.isfile(path):  # to open a pipe would block
+        for each in path.iterdir():
+            if each.suffix in (*SUFFIXES, ".yaml", ".zstd"):
+                file_inside(path, each.name, str(each), of="recording")
+        read_bytes(path / METADATA, MAX_METADATA_BYTES)
+    elif not os.path.isfile(path):
         raise VergenceError(f"{path} is not a regular file.")
-    if files and files[0].suffix == ".bag" and os.path.isfile(files[0]):
-        readers = [stack.enter_context(Ros1Reader(file)) for file in files]
-        return _Bag(path, readers, typestore(ros1=True), ros1=True)
-    reader = stack.enter_context(Ros2Reader(path))
-    return _Bag(path, [reader], typestore(ros1=False), False, limit_opened(reader))
+
+
+def _bound_decompression(stack: ExitStack) -> None:
+    """Bound what the library decompresses, which it does in one piece, while a bag is open."""
+
+    def decompress(decompressor: Any, data: bytes, stated: int = MAX_CHUNK_BYTES) -> bytes:
+        limit = min(stated, MAX_CHUNK_BYTES)
+        content = decompressor().decompress(data, max_length=limit + 1)
+        if len(content) > limit:
+            raise ValueError(f"a part of it has more than {limit:,} bytes when decompressed")
+        return content
+
+    zstd: Any = mcap_library.zstd  # a module of Python or a package, by the version of Python
+    decompressors = {"bz2": BZ2Decompressor, "lz4": LZ4FrameDecompressor}
+    decompressors["zstd"] = zstd.ZstdDecompressor
+    for table in (ros1_library.decompressors, mcap_library.DECOMPRESSORS):
+        stack.callback(table.update, dict(table))
+        for name in table.keys() & decompressors.keys():
+            table[name] = partial(decompress, decompressors[name])
 
 
 @contextmanager
-def _explained(path: Path) -> Iterator[None]:
-    """Raise errors of the library, which are of many kinds for damaged files, as VergenceError."""
+def _explained(what: str) -> Iterator[None]:
+    """Raise errors of the library, which are of many kinds for damaged bags, as VergenceError."""
     try:
         yield
     except VergenceError:
         raise
-    except (Ros1Error, Ros2Error, OSError) as error:
-        raise VergenceError(f"{path} cannot be read as a bag: {explain(error)}.") from error
     except Exception as error:
-        kind = type(error).__name__
-        raise VergenceError(f"{path} is a damaged bag, or not a bag ({kind}).") from error
-
-
-def _kind(bag: _Bag, connection: Connection) -> Kind:
-    """Select the kind of a connection; other if ROS does not define its messages so."""
-    name, digest = connection.msgtype, connection.digest
-    if name not in KINDS:
-        return "other"
-    known = bag.types.generate_msgdef(name)[1] if bag.ros1 else bag.types.hash_rihs01(name)
-    return KINDS[name] if digest in ("", "*", known) else "other"
+        reason = explain(error) or type(error).__name__
+        raise VergenceError(f"{what} is damaged, or cannot be read: {reason}.") from error
 
 
 def _read(
-    bag: _Bag, names: Collection[str], start: int | None, stop: int | None
+    path: Path,
+    reader: Ros1Reader | Ros2Reader,
+    names: Collection[str],
+    start: int | None,
+    stop: int | None,
 ) -> Iterator[Message]:
-    with _explained(bag.path):
-        chosen = []
-        for reader in bag.readers:
-            connections = [each for each in reader.connections if each.topic in names]
-            for each in connections:
-                if _kind(bag, each) == "other":
-                    raise VergenceError(
-                        f"{bag.path}: {each.topic} has messages of type {each.msgtype:.100} with "
-                        f"definition {each.digest or 'unknown':.80}; types that are read are "
-                        f"those that ROS defines as {', '.join(KINDS)}."
-                    )
-            if connections:
-                chosen.append(reader.messages(connections, start, stop))
-        deserialize = bag.types.deserialize_ros1 if bag.ros1 else bag.types.deserialize_cdr
-        for connection, received_ns, raw in merge(*chosen, key=lambda each: each[1]):
-            message: Any = deserialize(bag.decompress(raw), connection.msgtype)
-            where, kind = f"{bag.path}: {connection.topic}", KINDS[connection.msgtype]
-            if kind != "poses":
-                decode = partial(_content, message, where, kind)
-                yield Message(connection.topic, _stamp_ns(message), received_ns, decode)
-                continue
-            for stamp_ns, transforms in groupby(message.transforms, _stamp_ns):
-                decode = partial(_poses, tuple(transforms), where)
+    connections = [each for each in reader.connections if each.topic in names]
+    for each in connections:
+        if each.msgtype not in KINDS:
+            raise VergenceError(
+                f"{path}: {each.topic} has messages of type {each.msgtype:.100}; types that are "
+                f"read are {', '.join(KINDS)}."
+            )
+    ros1 = isinstance(reader, Ros1Reader)
+    deserialize = getattr(typestore(ros1=ros1), "deserialize_" + ("ros1" if ros1 else "cdr"))
+    with _explained(str(path)):
+        messages = reader.messages(connections, start, stop) if connections else ()
+        for connection, received_ns, raw in messages:
+            message: Any = deserialize(raw, connection.msgtype)
+            if KINDS[connection.msgtype] == "poses":  # each has a header
+                parts = [
+                    (stamp_ns, partial(_poses, list(each)))
+                    for stamp_ns, each in groupby(message.transforms, _stamp_ns)
+                ]
+            else:
+                parts = [(_stamp_ns(message), partial(_content, message, connection.msgtype))]
+            for stamp_ns, content in parts:
+                decode = _explained(f"A message of {path}: {connection.topic}")(content)
                 yield Message(connection.topic, stamp_ns, received_ns, decode)
 
 
@@ -167,29 +167,26 @@ def _stamp_ns(message: Any) -> int:
     return stamp.sec * 1_000_000_000 + stamp.nanosec
 
 
-def _content(message: Any, where: str, kind: Kind) -> Content:
-    if kind == "joints":
-        n = min(len(message.name), len(message.position))  # a message may have velocities only
-        values = np.array(message.position[:n], float)
-        stated = np.flatnonzero(np.isfinite(values))
-        return JointSample(tuple(message.name[k] for k in stated), values[stated])
+def _content(message: Any, type_name: str) -> Content:
+    kind = KINDS[type_name]
     if kind == "images":
-        decode = raw_image if hasattr(message, "step") else compressed_image
-        return decode(message, where)
-    return camera_lens(message, where)
+        return raw_image(message) if hasattr(message, "step") else compressed_image(message)
+    if kind == "lens":
+        return camera_lens(message)
+    n = min(len(message.name), len(message.position))  # a message may have velocities only
+    values = np.array(message.position[:n], float)
+    stated = np.flatnonzero(np.isfinite(values))
+    return JointSample(tuple(message.name[k] for k in stated), values[stated])
 
 
-def _poses(transforms: tuple[Any, ...], where: str) -> tuple[FramePose, ...]:
+def _poses(transforms: list[Any]) -> tuple[FramePose, ...]:
     found = []
     for each in transforms:
         t, q = each.transform.translation, each.transform.rotation
-        turn, shift = np.array([q.x, q.y, q.z, q.w]), np.array([t.x, t.y, t.z])
-        frames = each.header.frame_id.strip("/"), each.child_frame_id.strip("/")
-        is_unit = (np.abs(turn) < 2).all() and abs(np.linalg.norm(turn) - 1) < 0.1
-        if not (is_unit and np.isfinite(shift).all()):
-            raise VergenceError(
-                f"{where}: the pose of {frames[1]!r:.60} in {frames[0]!r:.60} is invalid: its "
-                f"quaternion is {turn.tolist()}, its translation {shift.tolist()}."
+        if not abs(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w - 1) < 0.1:
+            raise ValueError(
+                f"the quaternion of {each.child_frame_id!r:.60} has another norm than 1"
             )
-        found.append(FramePose(*frames, pose(Rotation.from_quat(turn).as_matrix(), shift)))
+        T = pose(Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix(), [t.x, t.y, t.z])
+        found.append(FramePose(each.header.frame_id.strip("/"), each.child_frame_id.strip("/"), T))
     return tuple(found)
