@@ -24,13 +24,15 @@ def joint_stream(
     such frames, or no readings that go `between_images`.
     """
     names = description.head_kinematics.readings
-    if not len(moving_ns) or not between_images(mapped, description):
+    if len(moving_ns) < 2 or not between_images(mapped, description):
         return None
     tracks = [joint_track(scanned, description.sources[name].column) for name in names]
     stamp_ns = np.unique(np.concatenate([track.stamp_ns for track in tracks]))
     after = np.searchsorted(moving_ns, stamp_ns)
     nearest = [moving_ns[np.clip(after - k, 0, len(moving_ns) - 1)] for k in (0, 1)]
     stamp_ns = stamp_ns[np.abs(np.array(nearest) - stamp_ns).min(axis=0) <= AROUND_S * 1e9]
+    if len(stamp_ns) < 2 or np.median(np.diff(stamp_ns)) >= np.median(np.diff(moving_ns)):
+        return None  # the frames have all of them
     stamp_ns = stamp_ns[:: -(-len(stamp_ns) // MAX_ROWS)]
     read = readings_at(scanned, mapped, description, stamp_ns)
     readings = np.stack([read[name] for name in names], axis=-1)
