@@ -63,7 +63,7 @@ def test_the_head_is_drawn_and_recorded_as_it_moves(tmp_path):
     }
     assert_valid(tmp_path / "shown/head.rrd")
     _, vergence = read_series(tmp_path / "shown/head.rrd", "/joints/vergence")
-    assert vergence.max() > 0.1
+    assert vergence.max() == pytest.approx(0.3, abs=0.01)
     assert "eyes_tilt" in (tmp_path / "shown/report.md").read_text()
 
 

@@ -294,7 +294,12 @@ def test_a_model_without_a_head_is_refused_in_one_sentence(tmp_path, text, said)
         (
             {
                 "cameras": {
-                    f"{name}_camera": {"body": f"{name}_eye", "forward": [x, 0, 0], "up": [0, 0, 1]}
+                    f"{name}_camera": {
+                        "body": f"{name}_eye",
+                        "forward": [x, 0, 0],
+                        "up": [0, 0, 1],
+                        "fov_deg": 60,
+                    }
                     for name, x in (("left", 1), ("right", -1))
                 }
             },

@@ -18,7 +18,6 @@ from vergence.errors import VergenceError
 from vergence.files import markdown_table, results_folder, whole_file, write_whole
 
 if TYPE_CHECKING:
-    from vergence.geometry.joints import Joint
     from vergence.twin.designed_head import DesignedHead
     from vergence.twin.head_file import HeadFile
 
@@ -64,12 +63,14 @@ def head(
     full = completed(stated, compiled)
     lenses = {name: lens_of(full, model.parent, name, compiled) for name in full.cameras}
     found = designed_head(compiled, full, lenses)
-    error = disagreement(compiled, found)
-    report = _report(full, found, error, doubts(full, found))
-    files = []
     if target is not None:
         beside = os.path.relpath(path.resolve(), target.resolve().parent)
-        write_whole(target, as_toml(full.model_copy(update={"model": beside})))
+        full = full.model_copy(update={"model": beside})
+    text = as_toml(full)
+    report = _report(found, text, disagreement(compiled, found), doubts(full, found))
+    files = []
+    if target is not None:
+        write_whole(target, text)
         files.append(f"Wrote {target}.")
     if out is not None:
         from PIL import Image
@@ -88,52 +89,33 @@ def head(
     return Report(report.title, report.parts, report.data, files="\n".join(files))
 
 
-def _report(stated: HeadFile, found: DesignedHead, error: float, remarks: list[str]) -> Report:
-    """Report eyes, joints and cameras of a head whose complete description is `stated`."""
-    head = found.head
+def _report(found: DesignedHead, toml: str, error: float, remarks: list[str]) -> Report:
+    """Report what was found of a head, whose complete description is `toml`."""
+    head, kinematics = found.head, found.head.kinematics
+    axes = {
+        name: (axis, {name: 1.0}) for name, axis in zip(found.neck, head.neck.axes, strict=True)
+    }
+    for eye, names in found.eyes.items():
+        described = zip(names, kinematics.eyes[eye], strict=True)
+        axes |= {name: (joint.axis, joint.readings) for name, joint in described}
     rows = [
-        (name, "neck", _direction(axis), name)
-        for name, axis in zip(found.neck, head.neck.axes, strict=True)
-    ]
-    rows += [
-        (name, f"{eye} eye", _direction(joint.axis), _sum(joint))
-        for eye, names in found.eyes.items()
-        for name, joint in zip(names, head.kinematics.eyes[eye], strict=True)
-    ]
-    cameras = [
-        (name, mounted.eye, found.cameras[name], "{} x {}".format(*mounted.intrinsics.size))
-        for name, mounted in head.cameras.items()
+        (
+            name,
+            "({:.3g}, {:.3g}, {:.3g})".format(*np.round(axis, 9) + 0.0),
+            " ".join(f"{factor:+.4g} {reading}" for reading, factor in readings.items()),
+        )
+        for name, (axis, readings) in axes.items()
     ]
     parts = [
-        f"The head is the body {found.base}; it looks along {_direction(stated.forward)}, with "
-        f"{_direction(stated.up)} up.",
-        markdown_table("joint | of | turns about | angle", rows),
-        markdown_table("camera | eye | on body | pixels", cameras),
-        f"Its kinematics and MuJoCo's agree to {error:.0e} [m, 1], at 20 random postures.",
+        toml,
+        markdown_table("joint | turns about, in frame head | angle", rows),
+        f"The kinematics agree with MuJoCo's to {error:.0e} [m, 1] at 20 random postures.",
         *remarks,
     ]
-    data = {
-        "base": found.base,
-        "eyes": dict(found.eyes),
-        "neck": list(found.neck),
-        "cameras": {name: mounted.eye for name, mounted in head.cameras.items()},
-        "readings": list(head.kinematics.readings),
-        "disagreement": error,
-    }
-    return Report("Head of a model", parts, data)
-
-
-def _direction(vector: np.ndarray | None) -> str:
-    """Format a unit vector."""
-    assert vector is not None
-    return "({:.4g}, {:.4g}, {:.4g})".format(*np.round(vector, 9) + 0.0)
-
-
-def _sum(joint: Joint) -> str:
-    """Format a joint's angle as a sum of readings."""
-    terms = [f"{factor:+.4g} {name}" for name, factor in joint.readings.items()]
-    offset = [f"{np.degrees(joint.offset_rad):+.4g} deg"] if joint.offset_rad else []
-    return " ".join([*terms, *offset]).replace("+1 ", "", 1)
+    cameras = {name: mounted.eye for name, mounted in head.cameras.items()}
+    data = {"eyes": dict(found.eyes), "neck": list(found.neck), "cameras": cameras}
+    more = {"readings": list(kinematics.readings), "disagreement": error}
+    return Report("Head of a model", parts, data | more)
 
 
 def as_toml(stated: HeadFile) -> str:

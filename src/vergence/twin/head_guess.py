@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 
 import mujoco
 import numpy as np
@@ -25,17 +25,15 @@ SNAP = float(np.cos(np.radians(15)))
 """Cosine of the angle within which a direction is that of an axis of the base: cameras are often
 mounted a few degrees off."""
 APART_M = 0.01
-"""Distance across the head from which cameras on one part are two eyes [m]."""
+"""Distance across the head from which cameras are of two eyes [m]."""
 USUAL_FOV_DEG = 60.0
 """Field of view of a link that is taken for a camera: a URDF states no lens."""
 _SIDE: dict[str, Side] = {"left": "left", "l": "left", "right": "right", "r": "right"}
 """Words in the names of the eyes' parts."""
-_LINKS: tuple[tuple[str, CameraFile], ...] = (
-    (r"optical", CameraFile(forward=np.array([0.0, 0, 1]), up=np.array([0.0, -1, 0]))),
-    (r"cam(era)?\d*([_-]|$)", CameraFile(forward=np.array([1.0, 0, 0]), up=np.array([0.0, 0, 1]))),
-    (r"(^|[_-])eye\d*([_-]|$)", CameraFile()),
-)
-"""Names of links that are cameras, the surest first, and their axes by REP 103."""
+_LINKS = r"optical", r"(^|[_-])(cam(era)?|eye)\d*([_-]|$)"
+"""Names of links that are taken for cameras, the surest first."""
+OPTICAL = CameraFile(forward=np.array([0.0, 0.0, 1.0]), up=np.array([0.0, -1.0, 0.0]))
+"""Axes of an optical frame by REP 103."""
 
 
 def completed(stated: HeadFile, model: mujoco.MjModel) -> HeadFile:
@@ -83,8 +81,7 @@ def _completed(stated: HeadFile, model: mujoco.MjModel) -> HeadFile:
         n: float(transform(T[n], np.zeros(3) if own is None else own[:3, 3]) @ left)
         for n, (_, own) in where.items()
     }
-    parts = {name: path[-1] for name, path in paths.items()}
-    sides = _sides(stated, cameras, parts, places)
+    sides = _sides(stated, cameras, {path[-1] for path in paths.values()}, places)
     if not stated.cameras:  # the first one of either eye, then the second ones
         by_eye = {eye: [n for n in cameras if sides[n] == eye] for eye in EYES}
         cameras = dict(sorted(cameras.items(), key=lambda c: by_eye[sides[c[0]]].index(c[0])))
@@ -125,16 +122,13 @@ def _hinges(model: mujoco.MjModel, body: str, stated: HeadFile) -> list[str]:
 
 
 def named_cameras(model: mujoco.MjModel, names: Iterable[str]) -> dict[str, CameraFile]:
-    """Describe cameras of a model, or links that are taken for cameras, by their names.
-
-    The axes of a link are those that REP 103 has for its name.
-    """
+    """Describe cameras of a model, or links that are taken for cameras, by their names."""
     known, found = {model.camera(k).name for k in range(model.ncam)}, {}
     for name in names:
         plain = re.sub(r"[^A-Za-z0-9_-]", "_", name)[:50]
         plain = plain if plain[0].isalpha() and plain not in EYES else f"camera_{plain}"
-        like = (c for pattern, c in _LINKS if re.search(pattern, name, re.IGNORECASE))
-        link = next(like, CameraFile()).model_copy(update={"body": name, "fov_deg": USUAL_FOV_DEG})
+        axes = OPTICAL if re.search(_LINKS[0], name) else CameraFile()
+        link = axes.model_copy(update={"body": name, "fov_deg": USUAL_FOV_DEG})
         found[plain] = CameraFile(camera=name) if name in known else link
     return found
 
@@ -149,7 +143,7 @@ def _camera_names(stated: HeadFile, model: mujoco.MjModel) -> list[str]:
         if camera.mode[0] == fixed and joints_to(model, model.body(camera.bodyid[0]).name)
     ]
     links = [model.body(b).name for b in range(1, model.nbody)]
-    for pattern, _ in _LINKS if not model.ncam else ():
+    for pattern in _LINKS if not model.ncam else ():
         groups: dict[tuple[str, ...], list[str]] = {}
         for name in links:
             if re.search(pattern, name, re.IGNORECASE) and (path := joints_to(model, name)):
@@ -204,28 +198,23 @@ def _side_of(name: str) -> Side | None:
 def _sides(
     stated: HeadFile,
     cameras: Mapping[str, CameraFile],
-    parts: Mapping[str, str],
+    parts: Collection[str],
     places: Mapping[str, float],
 ) -> dict[str, Side]:
     """Tell which eye carries each camera: as stated, by their names, or by their places.
 
-    `parts` are by camera the last joint that moves it, `places` how far to the left it is [m].
+    `parts` are the last joints that move cameras, `places` by camera how far left it is [m].
     """
     sides: dict[str, Side | None] = {
         n: camera.eye or _side_of(camera.camera or n) for n, camera in cameras.items()
     }
-    groups = {part: [n for n in cameras if parts[n] == part] for part in parts.values()}
-    if None not in sides.values() and (len(groups) != 2 or len({*sides.values()}) == 2):
+    if None not in sides.values() and (len(parts) != 2 or len({*sides.values()}) == 2):
         return {name: side for name, side in sides.items() if side is not None}
-    if len(groups) > 2:
+    if len(parts) > 2:
         raise VergenceError(
-            f"{stated.model} has cameras on {len(groups)} parts: {listed([*cameras])[:300]}; name "
+            f"{stated.model} has cameras on {len(parts)} parts: {listed([*cameras])[:300]}; name "
             "those of the two eyes after --cameras, or under [cameras] in head.toml."
         )
-    if len(groups) == 1 and np.ptp([*places.values()]) < APART_M:
-        return dict.fromkeys(cameras, EYES[0])
-    mean = {n: np.mean([places[k] for k in groups[parts[n]]]) for n in cameras}
-    mean = places if len(groups) == 1 else mean
-    middle = (min(mean.values()) + max(mean.values())) / 2
-    found: dict[str, Side] = {n: EYES[bool(at < middle)] for n, at in mean.items()}
-    return found
+    low, high = min(places.values()), max(places.values())
+    right = -np.inf if high - low < APART_M else (low + high) / 2
+    return {name: EYES[bool(place < right)] for name, place in places.items()}

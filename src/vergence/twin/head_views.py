@@ -10,21 +10,15 @@ import mujoco
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.gaze.foveation import gaze_angles
 from vergence.geometry.camera import normalise
-from vergence.geometry.head import base_pose
 from vergence.geometry.se3 import inverse, transform
 from vergence.twin import no_opengl
 from vergence.twin.designed_head import DesignedHead, moving_joints
 from vergence.twin.head_checks import pose_joints
 from vergence.twin.model_chain import body_pose
 
-AMPLITUDE_RAD = 0.3
-"""Turn of a joint to either side [rad], within the usual ranges of eyes and necks."""
-STEPS = 24
-"""Postures in which a joint moves there and back."""
-CIRCLE_M = np.array([0.5, 0.12, 0.08])
-"""Distance ahead, and half the width and height of the circle that the eyes follow [m]."""
+WAVE_RAD = 0.3 * np.sin(np.linspace(0, 2 * np.pi, 24))
+"""Angles of a joint there and back, within the usual ranges of eyes and necks."""
 AXIS_M, VIEW_M = 0.06, 0.1
 """Drawn length of a joint's axis, and depth of a camera's view [m]."""
 SIZE_PX = 960, 720
@@ -42,32 +36,19 @@ class View(NamedTuple):
     """(4, 4) by body its pose."""
     axes: Array
     """(k, 2, 3) [m] both ends of the axes of the neck's joints, then of the eyes'."""
-    point: Array
-    """(3,) [m] what the eyes look at; NaN: nothing."""
 
 
 def sweep(model: mujoco.MjModel, designed: DesignedHead) -> Iterator[View]:
-    """Move each joint in turn, and then let the eyes follow a point."""
-    head, n = designed.head, len(designed.neck)
-    wave = AMPLITUDE_RAD * np.sin(np.linspace(0, 2 * np.pi, STEPS))
-    moves = np.kron(np.eye(n + len(head.kinematics.readings)), wave[:, None])
-    turn = np.linspace(0, 2 * np.pi, 2 * STEPS)
-    circle = CIRCLE_M * np.stack([np.ones_like(turn), np.sin(turn), np.cos(turn)], axis=-1)
-    names = [next(c for c, m in head.cameras.items() if m.eye == eye) for eye in designed.eyes]
-    gaze = gaze_angles(head, transform(inverse(base_pose(head, "left")), circle), cameras=names)
-    looks = np.hstack([np.zeros((len(turn), n)), gaze])
-    points = np.concatenate([np.full((len(moves), 3), np.nan), circle])
-    T_head_world = np.eye(4)
-    for k, (posture, point) in enumerate(zip([*moves, *looks], points, strict=True)):
-        if np.isfinite(posture).all():  # or the eyes cannot look there
-            neck, readings = posture[:n], posture[n:]
-            data = pose_joints(model, designed, readings, neck)
-            if not k:
-                T_head_world = inverse(body_pose(data, designed.base) @ designed.T_base_head)
-            names = [model.body(b).name for b in range(1, model.nbody)]
-            bodies = {body: T_head_world @ body_pose(data, body) for body in names}
-            axes = transform(T_head_world, _axes(data, designed))
-            yield View(readings, neck, bodies, axes, point)
+    """Move each joint of the neck and each reading of the eyes in turn."""
+    n, r = len(designed.neck), len(designed.head.kinematics.readings)
+    straight = pose_joints(model, designed, np.zeros(r), np.zeros(n))
+    T_head_world = inverse(body_pose(straight, designed.base) @ designed.T_base_head)
+    names = [model.body(b).name for b in range(1, model.nbody)]
+    for posture in np.kron(np.eye(n + r), WAVE_RAD[:, None]):
+        data = pose_joints(model, designed, posture[n:], posture[:n])
+        bodies = {name: T_head_world @ body_pose(data, name) for name in names}
+        axes = transform(T_head_world, _axes(data, designed))
+        yield View(posture[n:], posture[:n], bodies, axes)
 
 
 def _axes(data: mujoco.MjData, designed: DesignedHead) -> Array:

@@ -15,7 +15,6 @@ from vergence.geometry.head import HeadCalibration, base_pose
 from vergence.geometry.kinematics import EYES, eye_pose
 from vergence.geometry.neck import head_pose
 from vergence.geometry.se3 import inverse
-from vergence.viewer import style
 from vergence.viewer.layouts import curves_view, playing, report_view, view_3d
 from vergence.viewer.recording import log_report, recording_file, set_time
 from vergence.viewer.shapes import placed
@@ -59,7 +58,4 @@ def record_head(
             rec.log("world/axes", rr.Arrows3D(origins=start, vectors=end - start, labels=joints))
             for name, angle in zip(names, [*view.neck, *view.readings], strict=True):
                 rec.log(f"joints/{part(name)}", rr.Scalars(angle))
-            if np.isfinite(view.point).all():
-                red = style.AXIS_COLOURS["z"]
-                rec.log("world/object", rr.Points3D(view.point, radii=0.01, colors=red))
         log_report(rec, report)
