@@ -67,12 +67,15 @@ def test_the_head_is_drawn_and_recorded_as_it_moves(tmp_path):
     assert "eyes_tilt" in (tmp_path / "shown/report.md").read_text()
 
 
-def test_of_two_heads_the_eyes_are_named(tmp_path):
+def test_of_two_heads_the_eyes_are_named_in_a_description(tmp_path):
     heads = two_eyes() + two_eyes(("low", "high")).replace('pos="0 ', 'pos="0.5 ')
     model = write_model(tmp_path / "two.xml", heads)
-    with pytest.raises(VergenceError, match=r"cameras on 4 parts: .* after --cameras"):
+    with pytest.raises(VergenceError, match=r"cameras on 4 parts: .* in a head\.toml"):
         run(model)
-    report = run(model, "--cameras", "low eye", "high eye")
+    described = tmp_path / "head.toml"
+    cameras = [f"[cameras.{name}]\ncamera = '{name} eye'\n" for name in ("low", "high")]
+    described.write_text("model = 'two.xml'\n" + "".join(cameras))
+    report = run(described)
     assert report.data["eyes"] == {
         "left": ("low_pan", "low_tilt"), "right": ("high_pan", "high_tilt")
     }  # fmt: skip
@@ -107,11 +110,12 @@ def test_heads_of_others_are_found(tmp_path, package):
         pytest.skip(f"{package} is not installed")
     file, expected = PACKAGED[package]
     model = Path(spec.submodule_search_locations[0]) / file
+    described = tmp_path / "head.toml"
+    described.write_text(f"model = '{model}'\n")
     if isinstance(expected, str):
         with pytest.raises(VergenceError, match=expected):
-            run(model, "--toml", tmp_path / "head.toml")
+            run(described)
         return
-    report = run(model, "--toml", tmp_path / "head.toml")
+    report = run(described)
     assert report.data["eyes"]["right"] == expected
     assert report.data["disagreement"] < 1e-9
-    assert run(tmp_path / "head.toml").data["eyes"] == report.data["eyes"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -24,51 +23,31 @@ if TYPE_CHECKING:
 RESULTS = "head.png", "head.rrd", "report.md"
 
 
-def head(
-    model: Positional[Path],
-    /,
-    *,
-    cameras: tuple[str, ...] = (),
-    toml: Optional[Path] = None,
-    out: Optional[Path] = None,
-) -> Report:
-    """Find cameras, eyes and neck of a robot's model, and write a first head.toml.
+def head(model: Positional[Path], /, *, out: Optional[Path] = None) -> Report:
+    """Find cameras, eyes and neck of a robot's model, and write a first head.toml beside it.
 
     Args:
-        model: MJCF or URDF file, or a head.toml, which is checked and shown.
-        cameras: Cameras or links of the eyes, where the model has others, too.
-        toml: File to write; default: head.toml beside the model, which is never overwritten.
+        model: MJCF or URDF file; or a head.toml, which is completed, checked and shown.
         out: Folder for a picture and a recording of the head with axes and views.
     """
     from vergence.twin.designed_head import designed_head, moving_joints
-    from vergence.twin.head_checks import disagreement, doubts
+    from vergence.twin.head_checks import disagreement, doubts, picture, sweep
     from vergence.twin.head_file import HeadFile, load_head_file
-    from vergence.twin.head_guess import completed, named_cameras
+    from vergence.twin.head_guess import completed
     from vergence.twin.head_lens import lens_of
     from vergence.twin.model_file import load_model
 
-    described = model.suffix == ".toml"
-    target = None if described else toml or model.parent / "head.toml"
+    target = model.parent / "head.toml" if model.suffix != ".toml" else None
     check_outputs(target, folder=out, names=RESULTS, inputs=[model])
     if target is not None and target.exists():
         typed = invocation("vergence", "head", target)
-        raise VergenceError(
-            f"{target} exists and is not overwritten; type {typed} to check it, or name another "
-            "file after --toml."
-        )
-    stated, path = load_head_file(model) if described else (HeadFile(model=model.name), model)
+        raise VergenceError(f"{target} exists and is not overwritten; type {typed} to check it.")
+    stated, path = (HeadFile(model=model.name), model) if target else load_head_file(model)
     compiled = load_model(path).compile()
-    if cameras:
-        stated = stated.model_copy(update={"cameras": named_cameras(compiled, cameras)})
     full = completed(stated, compiled)
     lenses = {name: lens_of(full, model.parent, name, compiled) for name in full.cameras}
-    found = designed_head(compiled, full, lenses)
-    if target is not None:
-        beside = os.path.relpath(path.resolve(), target.resolve().parent)
-        full = full.model_copy(update={"model": beside})
-    text = as_toml(full)
+    found, text, files = designed_head(compiled, full, lenses), as_toml(full), []
     report = _report(found, text, disagreement(compiled, found), doubts(full, found))
-    files = []
     if target is not None:
         write_whole(target, text)
         files.append(f"Wrote {target}.")
@@ -76,7 +55,6 @@ def head(
         from PIL import Image
 
         from vergence.twin.appearance import visual_geoms
-        from vergence.twin.head_views import picture, sweep
         from vergence.viewer.head import record_head
 
         with results_folder(out):
@@ -107,7 +85,7 @@ def _report(found: DesignedHead, toml: str, error: float, remarks: list[str]) ->
         for name, (axis, readings) in axes.items()
     ]
     parts = [
-        toml,
+        f"```toml\n{toml}```",
         markdown_table("joint | turns about, in frame head | angle", rows),
         f"The kinematics agree with MuJoCo's to {error:.0e} [m, 1] at 20 random postures.",
         *remarks,

@@ -91,8 +91,13 @@ def designed_head(
             left, beside = R_base_head[:, 1], T_base_cam[camera][:3, 3] - origins[eye]
             origins[eye] = origins[eye] + beside @ left * left
     joints = list(dict.fromkeys(j for eye in EYES if eye in chains for j in chains[eye].joints))
-    factors = {n: j.readings for n, j in stated.joints.items() if j.readings and n in joints}
-    readings = model_readings(model, joints, factors)
+    factors = {name: joint.readings or {} for name, joint in stated.joints.items()}
+    free = [joint for joint in joints if not factors.get(joint)]
+    readings = model_readings(model, free)
+    for joint, mixing in zip(free, readings.mixing, strict=True):
+        factors[joint] = {n: f for n, f in zip(readings.names, mixing, strict=True) if f}
+    offsets = dict(zip(free, readings.offset_rad, strict=True))
+    names = dict.fromkeys(reading_name(name) for joint in joints for name in factors[joint])
     try:
         kinematics = Kinematics(
             {
@@ -100,15 +105,9 @@ def designed_head(
                     Joint(
                         name=plain_name(name),
                         axis=R_base_head.T @ axis,
-                        readings={
-                            reading_name(reading): factor
-                            for reading, factor in zip(
-                                readings.names, readings.mixing[joints.index(name)], strict=True
-                            )
-                            if factor
-                        },
+                        readings={reading_name(n): f for n, f in factors[name].items()},
                         point_m=R_base_head.T @ _nearest(point - origins[eye], axis),
-                        offset_rad=readings.offset_rad[joints.index(name)],
+                        offset_rad=offsets.get(name, 0.0),
                     )
                     for name, axis, point in zip(
                         chains[eye].joints, chains[eye].axes, chains[eye].points_m, strict=True
@@ -118,7 +117,7 @@ def designed_head(
                 else ()
                 for eye in EYES
             },
-            tuple(map(reading_name, readings.names)),
+            tuple(names),
         )
         mounted = {}
         for name, camera in stated.cameras.items():

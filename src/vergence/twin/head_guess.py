@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Mapping
 
 import mujoco
 import numpy as np
@@ -21,9 +21,8 @@ from vergence.twin.model_readings import model_readings
 EYE_JOINTS, NECK_JOINTS = 2, 3
 """Fewest joints of an eye, where there are as many, and most joints of a neck; those before it are
 the body's."""
-SNAP = float(np.cos(np.radians(15)))
-"""Cosine of the angle within which a direction is that of an axis of the base: cameras are often
-mounted a few degrees off."""
+DIGITS = 9
+"""Decimals of directions."""
 APART_M = 0.01
 """Distance across the head from which cameras are of two eyes [m]."""
 USUAL_FOV_DEG = 60.0
@@ -53,7 +52,7 @@ def completed(stated: HeadFile, model: mujoco.MjModel) -> HeadFile:
 def _completed(stated: HeadFile, model: mujoco.MjModel) -> HeadFile:
     for joint in (*stated.joints, *(stated.neck or ()), *sum(stated.eyes.values(), ())):
         model.joint(joint)
-    cameras = dict(stated.cameras) or named_cameras(model, _camera_names(stated, model))
+    cameras = dict(stated.cameras) or _cameras(stated, model)
     where = {name: camera_in_body(model, name, camera) for name, camera in cameras.items()}
     paths = {name: _hinges(model, body, stated) for name, (body, _) in where.items()}
     shared = [j for j in next(iter(paths.values())) if all(j in path for path in paths.values())]
@@ -121,19 +120,7 @@ def _hinges(model: mujoco.MjModel, body: str, stated: HeadFile) -> list[str]:
     return found
 
 
-def named_cameras(model: mujoco.MjModel, names: Iterable[str]) -> dict[str, CameraFile]:
-    """Describe cameras of a model, or links that are taken for cameras, by their names."""
-    known, found = {model.camera(k).name for k in range(model.ncam)}, {}
-    for name in names:
-        plain = re.sub(r"[^A-Za-z0-9_-]", "_", name)[:50]
-        plain = plain if plain[0].isalpha() and plain not in EYES else f"camera_{plain}"
-        axes = OPTICAL if re.search(_LINKS[0], name) else CameraFile()
-        link = axes.model_copy(update={"body": name, "fov_deg": USUAL_FOV_DEG})
-        found[plain] = CameraFile(camera=name) if name in known else link
-    return found
-
-
-def _camera_names(stated: HeadFile, model: mujoco.MjModel) -> list[str]:
+def _cameras(stated: HeadFile, model: mujoco.MjModel) -> dict[str, CameraFile]:
     """Find the cameras that a joint moves or, without any, links whose names are a camera's."""
     fixed = int(mujoco.mjtCamLight.mjCAMLIGHT_FIXED)
     cameras = [model.camera(k) for k in range(model.ncam)]
@@ -155,7 +142,14 @@ def _camera_names(stated: HeadFile, model: mujoco.MjModel) -> list[str]:
             f"{stated.model} has no camera that a joint moves, nor a link that is called a camera "
             "or an eye; add cameras to the model, or name the links under [cameras] in head.toml."
         )
-    return names
+    found = {}
+    for name in names:
+        plain = re.sub(r"[^A-Za-z0-9_-]", "_", name)[:50]
+        plain = plain if plain[0].isalpha() and plain not in EYES else f"camera_{plain}"
+        axes = OPTICAL if re.search(_LINKS[0], name) else CameraFile()
+        link = axes.model_copy(update={"body": name, "fov_deg": USUAL_FOV_DEG})
+        found[plain] = CameraFile(camera=name) if model.ncam else link
+    return found
 
 
 def _directions(
@@ -163,7 +157,7 @@ def _directions(
     base: str,
     bodies: Mapping[str, Array],
     where: Mapping[str, tuple[str, Array | None]],
-) -> tuple[Array, Array]:
+) -> tuple[Array, ...]:
     """Find where the eyes look and what is up, in the base, with every joint at zero.
 
     `bodies` are poses (4, 4) in the base of the bodies that carry cameras. Links without axes of
@@ -178,14 +172,7 @@ def _directions(
         up = -down
     elif {"left", "right"} <= places.keys():
         forward = cross(places["left"] - places["right"], up)
-    return _snapped(forward), _snapped(up)
-
-
-def _snapped(direction: Array) -> Array:
-    """Replace a direction (3,) by the axis of its frame that is near, if one is."""
-    direction = direction / (np.linalg.norm(direction) or 1.0)
-    nearest = np.eye(3)[np.abs(direction).argmax()] * np.sign(direction)
-    return (nearest if nearest @ direction > SNAP else direction) + 0.0
+    return tuple(np.round(d / (np.linalg.norm(d) or 1.0), DIGITS) + 0.0 for d in (forward, up))
 
 
 def _side_of(name: str) -> Side | None:
@@ -213,7 +200,7 @@ def _sides(
     if len(parts) > 2:
         raise VergenceError(
             f"{stated.model} has cameras on {len(parts)} parts: {listed([*cameras])[:300]}; name "
-            "those of the two eyes after --cameras, or under [cameras] in head.toml."
+            "those of the two eyes under [cameras] in a head.toml."
         )
     low, high = min(places.values()), max(places.values())
     right = -np.inf if high - low < APART_M else (low + high) / 2

@@ -7,7 +7,7 @@ vergence. Readings are chosen as further equations until every joint is determin
 # pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import mujoco
@@ -17,9 +17,7 @@ from vergence.arrays import Array
 from vergence.errors import VergenceError
 
 _Row = dict[str, float]
-"""Factors of joints and of readings, by name."""
-OF_READING = "reading of "
-"""Before the name of a reading in an equation, since a joint may have that name, too."""
+"""Factors of joints, by name."""
 DIGITS = 12
 """Decimals of factors and offsets, which solving equations leaves."""
 
@@ -34,25 +32,14 @@ class Readings(NamedTuple):
     """(j,)."""
 
 
-def model_readings(
-    model: mujoco.MjModel,
-    joints: Sequence[str],
-    stated: Mapping[str, Mapping[str, float]] | None = None,
-) -> Readings:
+def model_readings(model: mujoco.MjModel, joints: Sequence[str]) -> Readings:
     """Find the readings that move joints of a model, and their factors.
 
     Equalities couple joints, as a URDF's mimic joints do. Fixed tendons with an actuator, such as
     version and vergence, are readings; other independent joints are readings of their own name.
-    `stated` gives, by joint, the factors of readings that only head.toml knows. VergenceError if
-    couplings are not linear.
+    VergenceError if couplings are not linear.
     """
-    relations: list[tuple[_Row, float]] = [
-        ({joint: 1.0} | {OF_READING + name: -factor for name, factor in factors.items()}, 0.0)
-        for joint, factors in (stated or {}).items()
-    ]
-    known = {next(iter(row)) for row, _ in relations}
-    relations += [each for each in _equalities(model) if next(iter(each[0])) not in known]
-    tendons = dict(_driven_tendons(model))
+    relations, tendons = list(_equalities(model)), dict(_driven_tendons(model))
     unknown = list(joints)
     for name in unknown:  # which grows by what is coupled to it
         for row in [*(row for row, _ in relations), *tendons.values()]:
@@ -61,19 +48,19 @@ def model_readings(
     relations = [each for each in relations if set(each[0]) <= set(unknown)]
     followers = {next(iter(row)) for row, _ in relations}
     candidates: list[tuple[str, _Row]] = [
-        *((name.removeprefix(OF_READING), {name: 1.0}) for name in unknown if OF_READING in name),
         *((name, row) for name, row in tendons.items() if set(row) <= set(unknown)),
         *((name, {name: 1.0}) for name in sorted(unknown, key=lambda name: name in followers)),
     ]
     rows = [row for row, _ in relations] + [row for _, row in candidates]
-    dense = np.array([[row.get(name, 0.0) for name in unknown] for row in rows])
+    dense = np.array([row.get(name, 0.0) for row in rows for name in unknown])
+    dense = dense.reshape(len(rows), len(unknown))
     kept: list[int] = []
     for k in range(len(rows)):
         if np.linalg.matrix_rank(dense[[*kept, k]]) > len(kept):
             kept.append(k)
     n = sum(k < len(relations) for k in kept)
     inverse = np.linalg.inv(dense[kept])[: len(joints)]
-    offset = inverse[:, :n] @ [relations[k][1] for k in kept[:n]] if n else np.zeros(len(joints))
+    offset = inverse[:, :n] @ np.array([relations[k][1] for k in kept[:n]])
     mixing = np.round(inverse[:, n:], DIGITS) + 0.0
     used = [r for r in range(mixing.shape[1]) if mixing[:, r].any()]
     used.sort(key=lambda r: (np.flatnonzero(mixing[:, r])[0], r))

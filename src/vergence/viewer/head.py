@@ -21,7 +21,7 @@ from vergence.viewer.shapes import placed
 
 if TYPE_CHECKING:  # the twin, and with it mujoco, is not needed to record a real head
     from vergence.twin.appearance import VisualGeom
-    from vergence.twin.head_views import View
+    from vergence.twin.head_checks import View
 
 STEP_S = 0.1
 """Time between postures of the recording [s]."""
