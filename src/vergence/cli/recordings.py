@@ -32,7 +32,7 @@ def import_recording(
 
     Args:
         source: Recording: a ROS 1 .bag; a ROS 2 folder, .db3 or .mcap; a folder of yarpdatadumper;
-            a dataset of LeRobot, or one of its episodes as FOLDER/episode_3; a csv, or a folder
+            an episode of a LeRobot dataset as FOLDER/episode_3; a csv, or a folder
             with csv of joints and images or videos.
         map: TOML file that names cameras, joints and board of the recording; left out: map.toml in
             the folder that holds the recording. Without --out a first one is written there.

@@ -35,5 +35,5 @@ def open_recording(path: Path | str) -> Iterator[Recording]:
         raise VergenceError(f"There is no recording {path}.")
     raise VergenceError(
         f"{path} is not a recording that can be read: a ROS 1 .bag, a ROS 2 folder, .db3 or .mcap, "
-        "a folder of yarpdatadumper, a dataset of LeRobot, or a csv with a folder of images."
+        "a folder of yarpdatadumper, an episode of a LeRobot dataset, or a csv with images."
     )
