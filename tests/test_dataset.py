@@ -189,6 +189,20 @@ def test_a_motion_of_two_rows_is_refused(tmp_path):
         runs(load_dataset(tmp_path / "set"))
 
 
+def test_a_stream_of_readings_surrounds_the_rows_that_move(tmp_path):
+    moving_dataset(tmp_path / "set", 20)  # from 100 s to 100.63 s
+    lines = [f"{99.9 + 0.01 * k!r},0.1,0.2,{0.01 * k!r},0.3" for k in range(100)]
+    header = ",".join(["time_s", *JOINTS])
+    (tmp_path / "set" / "joints.csv").write_text("\n".join([header, *lines]))
+    stream = load_dataset(tmp_path / "set").stream
+    assert stream is not None
+    np.testing.assert_allclose(stream.readings[:, 2], 0.01 * np.arange(100))
+    for part in (lines[20:], lines[:50], lines[:30] + lines[60:]):
+        (tmp_path / "set" / "joints.csv").write_text("\n".join([header, *part]))
+        with pytest.raises(VergenceError, match=r"joints\.csv needs readings before and after"):
+            load_dataset(tmp_path / "set")
+
+
 def joint(name: str, readings: dict[str, float], **more) -> dict:
     return {"name": name, "axis": name, "readings": readings} | more
 

@@ -13,7 +13,6 @@ from simulated_head import random_pose
 from vergence.data.dataset import Frame, runs
 from vergence.data.description import DatasetCamera, DatasetJoint, Description
 from vergence.data.reader import load_dataset
-from vergence.data.timing import JointStream
 from vergence.data.writer import DatasetRow, write_dataset
 from vergence.errors import VergenceError
 from vergence.geometry.kinematics import EYE_JOINTS
@@ -69,24 +68,6 @@ def test_what_is_written_is_read_back(tmp_path, joint):
         for name, image in frame.images.items():
             grey = entry.frame.images[name] @ [0.299, 0.587, 0.114]
             assert np.abs(image[..., 0] - grey).max() <= 1
-
-
-def test_a_stream_of_readings_is_read_back_and_surrounds_moving_rows(tmp_path):
-    made = entries(5, np.random.default_rng(1))  # the last two of which move, at 3.4 and 4.5 s
-    t = np.arange(3.2, 4.7, 0.01)
-    stream = JointStream(t, 0.3 * np.cos(t[:, None] + np.arange(4)))
-    write_dataset(tmp_path / "set", about(unit="deg", sign=-1), made, stream=stream)
-    read = load_dataset(tmp_path / "set").stream
-    assert read is not None
-    np.testing.assert_array_equal(read.time_s, t)
-    np.testing.assert_allclose(read.readings, stream.readings, rtol=4e-16)
-    for kept in (t < 4.4, np.abs(t - 4.5) > 0.15):
-        part = JointStream(t[kept], stream.readings[kept])
-        with pytest.raises(VergenceError, match=r"line 6: the eyes move, and joints\.csv has no"):
-            write_dataset(tmp_path / "other", about(), made, stream=part)
-    lines = (tmp_path / "set" / "joints.csv").read_text().splitlines()
-    (tmp_path / "set" / "joints.csv").write_text("\n".join(lines[:4]))
-    assert "joints.csv has 3 rows; needed are 7" in refusal(tmp_path / "set")
 
 
 def image(width: int = 32, height: int = 24) -> np.ndarray:

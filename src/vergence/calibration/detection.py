@@ -13,8 +13,9 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.calibration.observations import NO_CORNERS, UNREADABLE_IMAGE, Observations
 from vergence.calibration.other_boards import ANOTHER, mirrored, other_board, why_not_found
-from vergence.data.dataset import Dataset, motion_timing
+from vergence.data.dataset import Dataset, runs
 from vergence.data.images import UNREADABLE
+from vergence.data.timing import Timing
 from vergence.errors import VergenceError, counted
 from vergence.findings import Finding, note
 from vergence.geometry.board import Board, described
@@ -74,7 +75,9 @@ def detect_target(dataset: Dataset, *, progress: Progress = silent) -> Observati
     ]
     if not jobs:
         raise VergenceError(f"{dataset.folder} names no image in frames.csv.")
-    timing = motion_timing(dataset)
+    timing = None
+    if dataset.moving.any():
+        timing = Timing(dataset.joint_time_s, runs(dataset), dataset.stream)
     task = "finding the board"
     progress(task, 0, len(jobs))
     first = jobs[:: max(1, len(jobs) // _FIRST)]

@@ -23,10 +23,8 @@ from vergence.geometry.board import Board
 from vergence.geometry.camera import check_image_fits
 from vergence.geometry.head import HeadCalibration, pair_names
 
-MAX_GAP_S = 0.2
-"""Longest time [s] between successive rows of one motion; six images at 30 Hz."""
-STREAMED_GAP_S = 0.5
-"""The same where a stream has what the joints do in between; images at 2 Hz."""
+MAX_GAP_S = 0.25
+"""Longest time [s] between successive rows of one motion; images at 5 Hz, whose stamps vary."""
 LEAST_MOVING = 3
 """Fewest rows of a motion, so that its velocity can be estimated."""
 
@@ -150,11 +148,10 @@ class Dataset:
 def runs(dataset: Dataset) -> np.ndarray:
     """Number the motion of each row (N,) of int from 1; 0 for eyes at rest.
 
-    A motion ends where the eyes rest or rows are more than MAX_GAP_S apart, with a stream of
-    readings STREAMED_GAP_S. VergenceError if one has fewer than LEAST_MOVING rows.
+    A motion ends where the eyes rest or rows are more than MAX_GAP_S apart. VergenceError if one
+    has fewer than LEAST_MOVING rows.
     """
-    gap_s = MAX_GAP_S if dataset.stream is None else STREAMED_GAP_S
-    late = np.diff(dataset.joint_time_s, prepend=-np.inf) > gap_s
+    late = np.diff(dataset.joint_time_s, prepend=-np.inf) > MAX_GAP_S
     before = np.concatenate([[False], dataset.moving[:-1]])
     run = np.cumsum(dataset.moving & (late | ~before)) * dataset.moving
     for number in range(1, run.max(initial=0) + 1):
@@ -162,19 +159,9 @@ def runs(dataset: Dataset) -> np.ndarray:
         if len(rows) < LEAST_MOVING:
             raise VergenceError(
                 f"{dataset.where(rows[0])}: moving rows come at least {LEAST_MOVING} in sequence, "
-                f"not more than {gap_s} s apart; found {len(rows)}."
+                f"not more than {MAX_GAP_S} s apart; found {len(rows)}."
             )
     return run
-
-
-def motion_timing(dataset: Dataset) -> Timing | None:
-    """Collect when the readings of a dataset were taken; None: the eyes stand still in all rows.
-
-    VergenceError for a motion that is too short.
-    """
-    if not dataset.moving.any():
-        return None
-    return Timing(dataset.joint_time_s, runs(dataset), dataset.stream)
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,17 +232,13 @@ def check_readings_match(
         )
 
 
-def readings_at_images(dataset: Dataset, head: HeadCalibration, later_s: float = 0.0) -> Array:
-    """Move readings (M, r) [rad], or eye poses (M, 2, 4, 4), of all rows to their images.
-
-    Those of moving eyes are of some seconds after the images. VergenceError for a motion that is
-    too short.
-    """
+def readings_at_images(dataset: Dataset, head: HeadCalibration) -> Array:
+    """Move readings (M, r) [rad], or eye poses (M, 2, 4, 4), of all rows to their images."""
     readings = dataset.eye_angles if dataset.T_base_eye is None else dataset.T_base_eye
-    timing = motion_timing(dataset)
-    if timing is None:
+    if not dataset.moving.any():
         return readings
-    return moved_readings(readings, timing, time_offset(dataset, head) + later_s)
+    timing = Timing(dataset.joint_time_s, runs(dataset), dataset.stream)
+    return moved_readings(readings, timing, time_offset(dataset, head))
 
 
 def time_offset(dataset: Dataset, head: HeadCalibration) -> float:

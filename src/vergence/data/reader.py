@@ -11,15 +11,9 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.dataset import LEAST_MOVING, MAX_GAP_S, Dataset
-from vergence.data.description import (
-    DESCRIPTION,
-    FRAMES,
-    MOVING,
-    Description,
-)
+from vergence.data.description import DESCRIPTION, FRAMES, MOVING, STREAM, Description
 from vergence.data.table import (
     Table,
-    check_stream,
     joint_angles,
     measured_eye_poses,
     placements,
@@ -62,7 +56,13 @@ def load_dataset(folder: str | Path) -> Dataset:
     neck_angles = joint_angles(description, description.neck_joints, table)
     stream = read_stream(folder, description)
     if stream is not None:
-        check_stream(stream, joint_time_s, moving, table)
+        t, at = stream.time_s, joint_time_s[moving]
+        after = np.searchsorted(t[1:-1], at) + 1
+        if len(t) < 2 or ((at < t[0]) | (at > t[-1]) | (t[after] - t[after - 1] > MAX_GAP_S)).any():
+            raise VergenceError(
+                f"{folder / STREAM} needs readings before and after each row of {FRAMES} that "
+                f"moves, at most {MAX_GAP_S} s apart."
+            )
     T_base_eye, findings = None, ()
     if poses:
         T_base_eye, findings = measured_eye_poses(description, table)

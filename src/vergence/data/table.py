@@ -17,7 +17,6 @@ from pathlib import Path
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.data.dataset import MAX_GAP_S
 from vergence.data.description import (
     JOINT_TIME,
     PLACEMENT,
@@ -26,7 +25,7 @@ from vergence.data.description import (
     Description,
     pose_columns,
 )
-from vergence.data.timing import LEAST_ROWS, JointStream
+from vergence.data.timing import JointStream
 from vergence.errors import VergenceError, counted, explain
 from vergence.files import MAX_DIGITS, read_bytes
 from vergence.findings import Finding
@@ -211,35 +210,12 @@ def placements(neck: Sequence[str], neck_angles: Array, table: Table) -> np.ndar
 
 
 def read_stream(folder: Path, description: Description) -> JointStream | None:
-    """Read the eyes' readings at their own rate, joints.csv; None: there are none.
-
-    VergenceError as for frames.csv, or if there are too few.
-    """
+    """Read the eyes' readings at their own rate, joints.csv; None: there are none."""
     path, names = folder / STREAM, description.head_kinematics.readings
     if description.eye_motion != "pan-tilt" or not path.exists():
         return None
-    columns = [description.sources[name].column for name in names]
-    table = read_table(path, [TIME, *columns])
-    if len(table.lines) < LEAST_ROWS:
-        raise VergenceError(
-            f"{path} has {counted(len(table.lines), 'row')}; needed are {LEAST_ROWS} or more."
-        )
+    table = read_table(path, [TIME, *(description.sources[name].column for name in names)])
     return JointStream(time_stamps(table)[0], joint_angles(description, names, table))
-
-
-def check_stream(
-    stream: JointStream, joint_time_s: Array, moving: np.ndarray, table: Table
-) -> None:
-    """Raise VergenceError for a row with moving eyes that is not between samples of a stream."""
-    t = stream.time_s
-    after = np.clip(np.searchsorted(t, joint_time_s), 1, len(t) - 1)
-    beyond = (joint_time_s < t[0]) | (joint_time_s > t[-1])
-    beyond |= t[after] - t[after - 1] > MAX_GAP_S
-    for k in np.flatnonzero(beyond & moving).tolist():
-        raise VergenceError(
-            f"{table.where(k)}: the eyes move, and {STREAM} has no readings before and after "
-            f"{JOINT_TIME} = {joint_time_s[k]} s that are at most {MAX_GAP_S} s apart."
-        )
 
 
 def measured_eye_poses(description: Description, table: Table) -> tuple[Array, tuple[Finding, ...]]:

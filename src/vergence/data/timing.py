@@ -7,7 +7,6 @@ like 3 % of gain in a motion of 1 Hz.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,59 +68,31 @@ def stencil(time_s: Array, run: np.ndarray, wanted: np.ndarray | None = None) ->
 
     `wanted` (N,) of bool selects samples; the polynomials of others are zero. None: all.
     """
-    found: list[_Fit] = []
+    N = len(time_s)
+    found: list[tuple[int, np.ndarray, Array]] = []
     for number in np.unique(run[run > 0]):
         rows = np.flatnonzero(run == number)
         rows = rows[np.argsort(time_s[rows], kind="stable")]
         t = time_s[rows]
         for row, now in zip(rows, t, strict=True):
-            if wanted is None or wanted[row]:
-                window, fit = _polynomial(t, now)
-                found.append((row, rows[window], fit))
+            if wanted is not None and not wanted[row]:
+                continue
+            # At an end of the motion the neighbours are all on one side, but as many.
+            begin = np.clip(now - WINDOW_S, t[0], max(t[0], t[-1] - 2 * WINDOW_S))
+            near = np.searchsorted(t, [begin - _SLACK_S, begin + 2 * WINDOW_S + _SLACK_S])
+            if near[1] - near[0] < LEAST_ROWS:
+                first = np.searchsorted(t, now) - LEAST_ROWS // 2
+                near[0] = max(0, min(first, len(t) - LEAST_ROWS))
+                near[1] = min(near[0] + LEAST_ROWS, len(t))
+            window = slice(*near)
+            degree = min(TRAJECTORY_DEGREE, (near[1] - near[0] + 2) // 3)
+            s = (t[window] - now) / WINDOW_S
+            fit = np.linalg.pinv(s[:, None] ** np.arange(degree + 1))[1:]
+            fit = fit / WINDOW_S ** np.arange(1, degree + 1)[:, None]
+            found.append((row, rows[window], fit.T))
+    W = max((len(rows) for _, rows, _ in found), default=1)
     # Places that are not needed are of the sample itself: another may be NaN, and 0 x NaN is NaN.
-    return _stencil(found, np.arange(len(time_s), dtype=np.intp))
-
-
-def course(timing: Timing, readings: Array) -> Array:
-    """Compute the coefficients (V, r, TRAJECTORY_DEGREE) of polynomials in time around each view.
-
-    They go through the samples of the stream or, without one, the readings (V, r) of the views.
-    """
-    if timing.stream is None:
-        return coefficients(stencil(timing.time_s, timing.run), readings)
-    samples = timing.stream
-    every, found = np.arange(len(samples.time_s)), list[_Fit]()
-    for view in np.flatnonzero(timing.run > 0).tolist():
-        window, fit = _polynomial(samples.time_s, timing.time_s[view])
-        found.append((view, every[window], fit))
-    around = _stencil(found, np.zeros(len(timing.run), dtype=np.intp))
-    return coefficients(around, samples.readings)
-
-
-_Fit = tuple[int, np.ndarray, Array]
-"""Of which sample a polynomial is, its neighbours (W,), and weights (W, degree) of these."""
-
-
-def _polynomial(t: Array, now: float) -> tuple[slice, Array]:
-    """Choose the window of times (N,) around one, and the weights (W, degree) of its samples."""
-    # At an end of the motion the neighbours are all on one side, but as many.
-    begin = np.clip(now - WINDOW_S, t[0], max(t[0], t[-1] - 2 * WINDOW_S))
-    near = np.searchsorted(t, [begin - _SLACK_S, begin + 2 * WINDOW_S + _SLACK_S])
-    if near[1] - near[0] < LEAST_ROWS:
-        first = np.searchsorted(t, now) - LEAST_ROWS // 2
-        near[0] = max(0, min(first, len(t) - LEAST_ROWS))
-        near[1] = min(near[0] + LEAST_ROWS, len(t))
-    window = slice(*near)
-    degree = min(TRAJECTORY_DEGREE, (near[1] - near[0] + 2) // 3)
-    s = (t[window] - now) / WINDOW_S
-    fit = np.linalg.pinv(s[:, None] ** np.arange(degree + 1))[1:]
-    return window, (fit / WINDOW_S ** np.arange(1, degree + 1)[:, None]).T
-
-
-def _stencil(found: Sequence[_Fit], unused: np.ndarray) -> Stencil:
-    """Assemble the polynomials of N samples; (N,) stand in places that are not needed."""
-    N, W = len(unused), max((len(rows) for _, rows, _ in found), default=1)
-    neighbours = np.tile(unused[:, None], W)
+    neighbours = np.tile(np.arange(N, dtype=np.intp)[:, None], W)
     weights = np.zeros((N, W, TRAJECTORY_DEGREE))
     for row, rows, fit in found:
         neighbours[row, : len(rows)] = rows
@@ -150,6 +121,20 @@ def taken_up(angles: Array, play: Array) -> Array:
 def coefficients(around: Stencil, values: Array) -> Array:
     """Compute the coefficients (N, n, TRAJECTORY_DEGREE) of polynomials through values (N, n)."""
     return np.einsum("nwk,nwj->njk", around.weights, values[around.neighbours], optimize=True)
+
+
+def course(timing: Timing, readings: Array) -> Array:
+    """Compute the coefficients (V, r, TRAJECTORY_DEGREE) of polynomials around each view.
+
+    They go through the readings (V, r) of the views, and the samples of the stream if there is one.
+    """
+    time_s, run, V = timing.time_s, timing.run, len(readings)
+    if timing.stream is not None:
+        time_s = np.concatenate([time_s, timing.stream.time_s])
+        readings = np.concatenate([readings, timing.stream.readings])
+        run = np.concatenate([run > 0, np.ones(len(timing.stream.time_s), bool)])
+    around = stencil(time_s, run, np.arange(len(time_s)) < V)
+    return coefficients(Stencil(around.neighbours[:V], around.weights[:V]), readings)
 
 
 def change(coefficients: Array, seconds: float) -> Array:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import os
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,20 +22,10 @@ from vergence.data.description import (
     JOINT_TIME,
     MOVING,
     PLACEMENT,
-    STREAM,
     TIME,
     Description,
 )
-from vergence.data.table import (
-    Table,
-    check_stream,
-    joint_angles,
-    measured_eye_poses,
-    placements,
-    read_stream,
-    time_stamps,
-)
-from vergence.data.timing import JointStream
+from vergence.data.table import Table, joint_angles, measured_eye_poses, placements, time_stamps
 from vergence.errors import VergenceError
 from vergence.files import whole_folder
 from vergence.geometry.kinematics import EYES
@@ -63,15 +53,13 @@ def write_dataset(
     description: Description,
     rows: Iterable[DatasetRow],
     *,
-    stream: JointStream | None = None,
     beside: Callable[[Path], None] = lambda folder: None,
 ) -> None:
     """Write a dataset into a temporary folder that is renamed when it is complete.
 
     Images become grey PNG files: detection uses no colour, and they have a third of the size.
-    Threads encode them, so that an iterator of rows, in order of time, can go on. `stream` has the
-    eyes' readings at their own rate around moving rows. `beside` writes other files into the
-    temporary folder after the last row.
+    Threads encode them, so that an iterator of rows, in order of time, can go on. `beside` writes
+    other files into the temporary folder after the last row.
 
     Raises VergenceError if the folder is not empty or cannot be written, there are no rows, or
     `load_dataset` would refuse one.
@@ -81,34 +69,11 @@ def write_dataset(
         adapter = TypeAdapter(Description)
         text = adapter.dump_json(description, indent=1, exclude_none=True) + b"\n"
         (part / DESCRIPTION).write_bytes(text)
-        written = _write_frames(part, description, rows)
-        if stream is not None:
-            _write_stream(part, description, stream, written)
+        _write_frames(part, description, rows)
         beside(part)
 
 
-def _write_stream(
-    folder: Path, description: Description, stream: JointStream, written: list[_Cells]
-) -> None:
-    """Write readings at their own rate, and check them with the rows that were written."""
-    names = description.head_kinematics.readings
-    columns = [TIME, *(description.sources[name].column for name in names)]
-    with (folder / STREAM).open("w", encoding="utf-8", newline="") as file:
-        table = csv.DictWriter(file, columns, lineterminator="\n")
-        table.writeheader()
-        for time_s, readings in zip(stream.time_s.tolist(), stream.readings, strict=True):
-            angles = dict(zip(names, readings.tolist(), strict=True))
-            table.writerow({TIME: time_s} | _stated(description, angles))
-    read, rows = read_stream(folder, description), _table(written)
-    if read is not None:
-        moving = rows.whole_numbers(MOVING, 1) == 1
-        check_stream(read, time_stamps(rows)[1], moving, rows)
-
-
-def _write_frames(
-    folder: Path, description: Description, rows: Iterable[DatasetRow]
-) -> list[_Cells]:
-    """Write the images and frames.csv; returns the rows without their images."""
+def _write_frames(folder: Path, description: Description, rows: Iterable[DatasetRow]) -> None:
     workers = os.cpu_count() or 1
     pending: deque[Future[None]] = deque()
     written: list[_Cells] = []
@@ -135,36 +100,20 @@ def _write_frames(
     if not written:
         raise VergenceError("A dataset has one row or more; found none.")
     _check_rows(description, written, 0)
-    return written
 
 
 def _check_rows(description: Description, rows: list[_Cells], first: int) -> None:
     """Check rows from the first one as the reader does."""
-    table = _table(rows, first)
+    checked = rows[first:]
+    texts = [["" if cell is None else str(cell) for cell in row.values()] for row in checked]
+    columns = dict(zip(checked[0], zip(*texts, strict=True), strict=True))
+    table = Table(Path(FRAMES), tuple(range(first + 2, len(rows) + 2)), columns)
     time_stamps(table)
     joint_angles(description, description.head_kinematics.readings, table)
     neck = description.neck_joints
     placements(neck, joint_angles(description, neck, table), table)
     if description.eye_motion == "poses":
         measured_eye_poses(description, table)
-
-
-def _table(rows: list[_Cells], first: int = 0) -> Table:
-    """Make the table that a reader would find, of rows from the first one."""
-    checked = rows[first:]
-    texts = [["" if cell is None else str(cell) for cell in row.values()] for row in checked]
-    columns = dict(zip(checked[0], zip(*texts, strict=True), strict=True))
-    return Table(Path(FRAMES), tuple(range(first + 2, len(rows) + 2)), columns)
-
-
-def _stated(description: Description, angles: Mapping[str, float]) -> _Cells:
-    """Convert readings [rad] by name to cells in the units and signs of their columns."""
-    cells: _Cells = {}
-    for name, joint in description.sources.items():
-        if name in angles:  # otherwise another joint has this column
-            angle = joint.sign * angles[name]
-            cells[joint.column] = float(np.degrees(angle)) if joint.unit == "deg" else angle
-    return cells
 
 
 def _cells(description: Description, row: DatasetRow) -> _Cells:
@@ -187,7 +136,11 @@ def _cells(description: Description, row: DatasetRow) -> _Cells:
             f"The row at {frame.time_s} s needs numbers of the readings {', '.join(names)}; found "
             f"{frame.eye_angles!r:.80} and {frame.neck_angles!r:.80}."
         )
-    cells |= _stated(description, dict(zip(names, readings.tolist(), strict=True)))
+    angles = dict(zip(names, readings.tolist(), strict=True))
+    for name, joint in description.sources.items():
+        if name in angles:  # otherwise another joint has this column
+            angle = joint.sign * angles[name]
+            cells[joint.column] = float(np.degrees(angle)) if joint.unit == "deg" else angle
     if description.eye_motion == "poses":
         if row.T_base_eye is None or np.shape(row.T_base_eye) != (2, 4, 4):
             raise VergenceError(

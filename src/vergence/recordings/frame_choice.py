@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.data.dataset import LEAST_MOVING
+from vergence.data.dataset import LEAST_MOVING, MAX_GAP_S
 from vergence.recordings.moments import Moments
 from vergence.recordings.recording_map import FrameChoice, Span
 from vergence.recordings.stillness import (
@@ -105,7 +105,7 @@ def _motions(moments: Moments, moves: np.ndarray) -> np.ndarray:
     values = eye_readings(moments)
     pieces: list[tuple[float, np.ndarray]] = []
     for stretch in stretches(moves):
-        late = np.flatnonzero(np.diff(time_s[stretch]) > moments.gap_s) + 1
+        late = np.flatnonzero(np.diff(time_s[stretch]) > MAX_GAP_S) + 1
         for run in np.split(stretch, late):
             count = max(1, round((time_s[run[-1]] - time_s[run[0]]) / PIECE_S))
             for piece in np.array_split(run, count):

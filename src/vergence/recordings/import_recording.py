@@ -15,7 +15,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration.other_boards import other_board
-from vergence.data.dataset import LEAST_MOVING, Frame
+from vergence.data.dataset import LEAST_MOVING, MAX_GAP_S, Frame
 from vergence.data.images import to_8_bits
 from vergence.data.writer import DatasetRow, write_dataset
 from vergence.errors import VergenceError, counted
@@ -28,7 +28,7 @@ from vergence.recordings.chosen_images import read_images
 from vergence.recordings.clocks import check_stamps
 from vergence.recordings.formats import open_recording
 from vergence.recordings.frame_choice import ChosenFrames, choose_frames
-from vergence.recordings.joint_streams import joint_stream
+from vergence.recordings.joint_streams import write_stream
 from vergence.recordings.mapped_scan import on_the_clock, scan_mapped
 from vergence.recordings.moments import STILL, Moments, find_moments
 from vergence.recordings.recording_map import RecordingMap
@@ -101,9 +101,12 @@ def import_recording(
                 )
                 progress("writing the dataset", k + 1, len(chosen.rows))
 
-        moving_ns = moments.time_ns[chosen.rows[chosen.moving]]
-        stream = joint_stream(scanned, mapped, description, moving_ns)
-        write_dataset(out, description, rows(), stream=stream)
+        def beside(folder: Path) -> None:
+            moving_ns = moments.time_ns[chosen.rows[chosen.moving]]
+            if len(moving_ns) > 1 and not mapped.poses and mapped.max_gap_s <= MAX_GAP_S:
+                write_stream(folder, scanned, description, moving_ns)
+
+        write_dataset(out, description, rows(), beside=beside)
     places = 0 if placement is None else len(np.unique(placement))
     return ImportedRecording(len(chosen.rows), int(chosen.moving.sum()), places, findings)
 
@@ -137,7 +140,7 @@ def _all_frames(moments: Moments) -> ChosenFrames:
         )
     posture = moments.eye_angles if moments.T_base_eye is None else moments.T_base_eye
     moving = bool(np.ptp(posture[rows], axis=0).max(initial=0.0) > STILL)
-    late = np.diff(moments.time_ns[rows], prepend=moments.time_ns[rows[0]]) > moments.gap_s * 1e9
+    late = np.diff(moments.time_ns[rows], prepend=moments.time_ns[rows[0]]) > MAX_GAP_S * 1e9
     run = np.cumsum(late)
     rows = rows[(np.bincount(run)[run] >= LEAST_MOVING) | (not moving)]
     return ChosenFrames(rows, np.full(len(rows), moving))

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.data.dataset import MAX_GAP_S, STREAMED_GAP_S
 from vergence.data.description import Description
 from vergence.errors import VergenceError
 from vergence.recordings.interpolation import interpolate
@@ -43,9 +42,6 @@ class Moments:
     T_base_eye: Array | None = None
     """(N, 2, 4, 4) measured poses of the left and the right eye in their bases [m], NaN where not
     known, the identity for an eye without cameras; None where joints are read instead."""
-
-    gap_s: float = MAX_GAP_S
-    """Longest time between successive moments of one motion [s]."""
 
     @property
     def known(self) -> np.ndarray:
@@ -98,14 +94,7 @@ def find_moments(scanned: Scan, mapped: RecordingMap, description: Description) 
         eye_angles=eye_angles[kept],
         neck_angles=neck_angles[kept],
         T_base_eye=None if T_base_eye is None else T_base_eye[kept],
-        gap_s=STREAMED_GAP_S if between_images(mapped, description) else MAX_GAP_S,
     )
-
-
-def between_images(mapped: RecordingMap, description: Description) -> bool:
-    """Check whether joints are read often enough to show what they do between images."""
-    read = description.eye_motion == "pan-tilt" and not mapped.poses
-    return read and mapped.max_gap_s <= MAX_GAP_S
 
 
 def _period_ns(stamp_ns: np.ndarray) -> float:
