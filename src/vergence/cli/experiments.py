@@ -137,7 +137,7 @@ def record(
             progress=progress,
         )
     typed = invocation("vergence", "calibrate", out, "--out", "calibration.json")
-    also = "" if settings is None else f", {settings.file_name}"
+    also = "" if settings is None else ", a bag"
     files = (
         f"Wrote {images} images, dataset.json, frames.csv{also} and truth.json to {out}.\n"
         f"To calibrate: {typed}"

@@ -108,10 +108,11 @@ def _bound_decompression(stack: ExitStack) -> None:
             raise ValueError(f"a part of it has more than {limit:,} bytes when decompressed")
         return content
 
-    zstd: Any = mcap_library.zstd  # a module of Python or a package, by the version of Python
+    zstd = vars(mcap_library)["zstd"]  # a module of Python or a package, by the version of Python
     decompressors = {"bz2": BZ2Decompressor, "lz4": LZ4FrameDecompressor}
     decompressors["zstd"] = zstd.ZstdDecompressor
-    for table in (ros1_library.decompressors, mcap_library.DECOMPRESSORS):
+    tables: list[dict[str, Any]] = [ros1_library.decompressors, mcap_library.DECOMPRESSORS]
+    for table in tables:
         stack.callback(table.update, dict(table))
         for name in table.keys() & decompressors.keys():
             table[name] = partial(decompress, decompressors[name])

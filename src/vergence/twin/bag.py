@@ -42,11 +42,6 @@ class BagSettings:
         if not (0 <= self.joint_rate_hz <= 1000 and 0 <= self.missing < 1):
             raise VergenceError("Joints are read at 0 to 1000 Hz, and 0 to below 1 is missing.")
 
-    @property
-    def file_name(self) -> str:
-        """Name of the bag, which is a file or a folder."""
-        return "recording.bag" if self.storage == "ros1" else "recording"
-
 
 def write_twin_bag(
     dataset: Dataset,
@@ -58,7 +53,7 @@ def write_twin_bag(
     seed: int,
     progress: Progress = silent,
 ) -> None:
-    """Write a dataset of the twin with its stream of joint readings into a bag beside its files.
+    """Write a dataset of the twin with joint readings [rad] into the bag `recording` in its folder.
 
     `log` has the times [s] and the postures (j,) [rad] on the sensors' side that `Twin.watch` saw,
     and `joints` the errors of the sensors. VergenceError if the bag cannot be written.
@@ -73,21 +68,19 @@ def write_twin_bag(
         sensed = np.stack([np.interp(at_s, log_s, column) for column in postures.T], axis=1)
         neck, eyes = np.split(sensed, [len(description.neck_joints)], axis=1)
         eyes = read(eyes, joints, rng, description.head_kinematics)
-    order = *description.head_kinematics.readings, *description.neck_joints
-    angles = dict(zip(order, np.concatenate([eyes, neck], axis=1).T, strict=True))
-    columns = {
-        joint.column: joint.sign * (np.degrees if joint.unit == "deg" else np.array)(angles[name])
-        for name, joint in description.sources.items()
-    }
-    names, values = tuple(columns), np.stack(list(columns.values()), axis=1)
+    names = *description.head_kinematics.readings, *description.neck_joints
+    values = np.concatenate([eyes, neck], axis=1)
     kept = np.flatnonzero(rng.random(len(joint_s)) >= settings.missing)
-    messages = [message(JOINTS, _clock(joint_s[k]), JointSample(names, values[k])) for k in kept]
+    stamp_ns, joint_ns = (
+        (BEGIN_NS + np.round(at_s * 1e9).astype(int)).tolist() for at_s in (dataset.time_s, joint_s)
+    )
+    messages = [message(JOINTS, joint_ns[k], JointSample(names, values[k])) for k in kept]
     for name, files in dataset.files.items():
         if settings.lenses:
             messages.append(message(LENSES.format(name), BEGIN_NS, truth.camera(name).intrinsics))
         for row in (row for row, file in enumerate(files) if file):
-            at, decode = _clock(dataset.time_s[row]), partial(_grey, dataset, name, row)
-            messages.append(Message(IMAGES.format(name), at, at + _TRANSPORT_NS, decode))
+            at_ns, show = stamp_ns[row], partial(_grey, dataset, name, row)
+            messages.append(Message(IMAGES.format(name), at_ns, at_ns + _TRANSPORT_NS, show))
     messages.sort(key=lambda each: each.received_ns)
 
     def written() -> Iterator[Message]:
@@ -95,11 +88,8 @@ def write_twin_bag(
             progress("writing the bag", done, len(messages))
             yield each
 
-    write_bag(dataset.folder / settings.file_name, written(), storage=settings.storage)
-
-
-def _clock(time_s: float) -> int:
-    return BEGIN_NS + round(time_s * 1e9)
+    path = dataset.folder / ("recording.bag" if settings.storage == "ros1" else "recording")
+    write_bag(path, written(), storage=settings.storage)
 
 
 def _grey(dataset: Dataset, camera: str, row: int) -> np.ndarray:
