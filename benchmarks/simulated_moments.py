@@ -140,7 +140,7 @@ def find_frames(
     chosen = choose_frames(moments, FrameChoice())
     time_s = (moments.time_ns[chosen.rows] - moments.time_ns[0]) * 1e-9
     corners = find_corners(head, session, time_s, rng, how.corner_px)
-    number = number_placements(described, moments, chosen, corners)
+    number = number_placements(described, moments, chosen, corners, FrameChoice())
 
     def sees(t: float) -> bool:
         found = find_corners(head, session, np.array([t]), rng, 0.0)

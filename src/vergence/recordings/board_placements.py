@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
-from itertools import pairwise
 
 import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.description import Description
-from vergence.recordings.board_motion import WRONG, number_boards
-from vergence.recordings.board_views import BoardViews, board_views, eye_views
+from vergence.recordings.board_motion import GATE, squared_distances
+from vergence.recordings.board_views import board_views, eye_views
 from vergence.recordings.frame_choice import ChosenFrames, seconds
 from vergence.recordings.moments import Moments
 from vergence.recordings.recording_map import FrameChoice
 from vergence.recordings.stillness import joints_still
 from vergence.vision.board_pose import LEAST_CORNERS, seen_corners
 
+REACH = 10
+"""Frames before one with which it is compared."""
+PATIENCE = 3
+"""Frames that may not agree with those before, while the next one does."""
 SAME_PX = 1.0
 """Root mean square distance of corners [px] in two images from which a board before an eye at rest
 has moved, and below which images are alike."""
@@ -31,7 +33,7 @@ def number_placements(
     moments: Moments,
     chosen: ChosenFrames,
     corners: Mapping[str, Array],
-    stated: FrameChoice | None = None,
+    stated: FrameChoice,
 ) -> np.ndarray:
     """Number the placements (F,) of int of chosen frames, from 0; -1: to be left out.
 
@@ -39,138 +41,92 @@ def number_placements(
     shows, and moving ones unless the board stood still. `corners` by camera are (F, K, 2) [px], NaN
     where not seen. Placements that are `stated` are taken from there.
     """
-    shown = np.any(
-        [seen_corners(each).sum(axis=1) >= LEAST_CORNERS for each in corners.values()], axis=0
-    )
-    if stated is not None and stated.placements is not None:
-        return _stated(moments, chosen, shown, stated)
-    return _found(description, moments, chosen, corners, shown)
-
-
-def _stated(
-    moments: Moments, chosen: ChosenFrames, shown: np.ndarray, stated: FrameChoice
-) -> np.ndarray:
-    time_s, spans = seconds(moments)[chosen.rows], stated.placements or ()
-    number = np.full(len(shown), LEAVE_OUT)
-    for k, (begin, end) in enumerate(spans):
-        number[(shown | chosen.moving) & (time_s >= begin) & (time_s <= end)] = k
-    outside = shown & ~chosen.moving & (number < 0)
-    number[outside] = len(spans) + np.arange(outside.sum())
+    seen = [seen_corners(each).sum(axis=1) >= LEAST_CORNERS for each in corners.values()]
+    rest = np.flatnonzero(np.any(seen, axis=0) & ~chosen.moving)
+    number = np.full(len(chosen.rows), LEAVE_OUT)
+    if stated.placements is not None:
+        time_s = seconds(moments)[chosen.rows]
+        number[rest] = len(stated.placements) + np.arange(len(rest))
+        for k, (begin, end) in enumerate(stated.placements):
+            number[(time_s >= begin) & (time_s <= end)] = k
+        return number
+    number[rest], alike = _placements(description, moments, chosen, corners, rest)
+    after = np.searchsorted(rest, np.arange(len(number)))
+    between = chosen.moving & (after > 0) & (after < len(rest))
+    before, after = number[rest[after[between] - 1]], number[rest[after[between]]]
+    number[between] = np.where(before == after, before, LEAVE_OUT)
+    number[rest[alike]] = LEAVE_OUT
     return number
 
 
-def _found(
+def _placements(
     description: Description,
     moments: Moments,
     chosen: ChosenFrames,
     corners: Mapping[str, Array],
-    shown: np.ndarray,
-) -> np.ndarray:
-    rest = np.flatnonzero(shown & ~chosen.moving)
-    views = {
-        name: board_views(description.cameras[name], description.board, each, rest)
-        for name, each in corners.items()
-        if np.isfinite(each[rest]).any()
-    }
-    number = np.full(len(shown), LEAVE_OUT)
-    segment, alone = _stood(description, moments, chosen, views, rest)
-    # A frame that does not agree with those around it has a number of its own.
-    number[rest] = np.where(alone, segment.max(initial=0) + 1 + np.arange(len(rest)), segment)
-    after = np.searchsorted(rest, np.arange(len(shown)))
-    between = chosen.moving & (after > 0) & (after < len(rest))
-    k = after[between]
-    number[between] = np.where(segment[k - 1] == segment[k], segment[k], LEAVE_OUT)
-    neck, first = moments.neck_angles[chosen.rows], np.searchsorted(segment, segment)
-    for row in np.flatnonzero(between & (number >= 0)):
-        begun = rest[first[after[row]]]
-        if np.abs(neck[row] - neck[begun]).max(initial=0.0) > NECK_RAD:
-            number[row] = LEAVE_OUT
-    number[_alike(views, number, rest)] = LEAVE_OUT
-    return number
-
-
-def _stood(
-    description: Description,
-    moments: Moments,
-    chosen: ChosenFrames,
-    views: Mapping[str, BoardViews],
     rest: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Number the stretches (m,) of frames at rest in which the board stood still.
+    """Number the placements (m,) of frames at rest (m,), and find which look like another.
 
-    Returns also which frames (m,) do not agree with those around them. Between two successive
-    frames the board stood still if a camera shows it by views before and after, and none shows that
-    it moved; a camera that shows it by views farther apart does not contradict one that shows when.
+    Each is compared with those before, by each camera that sees the board in both. Where the eye
+    rested in between, its corners show whether the board moved.
     """
-    m = len(rest)
-    stood = np.zeros(max(m - 1, 0), bool)
-    wrong, agrees = np.zeros(m, bool), np.zeros(m, bool)
-    moved: list[tuple[int, int]] = []
-    disturbed = np.cumsum(~joints_still(moments))[chosen.rows]
+    m, rows = len(rest), chosen.rows[rest]
+    k, back = (each.ravel() for each in np.indices((m, REACH)))
+    k, i = k[k > back], (k - back - 1)[k > back]
+    vote, alike = np.zeros(len(k), int), np.ones(len(k), bool)
+    neck = moments.neck_angles[rows]
+    broken = np.abs(np.diff(neck, axis=0)).max(axis=1, initial=0.0) > NECK_RAD
+    disturbed = np.cumsum(~joints_still(moments))[rows]
     readings = moments.eye_angles if moments.T_base_eye is None else moments.T_base_eye
-    for name, seen in views.items():
-        if not len(seen.rows):
+    for name, camera in description.cameras.items():
+        views = board_views(camera, description.board, corners[name][rest])
+        if views is None:
             continue
-        turning = eye_views(
-            seen,
-            description.head_kinematics,
-            description.cameras[name].eye,
-            readings[chosen.rows[seen.rows]],
-        )
-        stands = partial(_stands, seen, disturbed[seen.rows])
-        number, placed = number_boards(turning, stands)
-        at = np.searchsorted(rest, seen.rows)
-        wrong[at[number == WRONG]] = True
-        agrees[at[np.isin(number, number[:-1][number[1:] == number[:-1]])]] = True
-        for i, k in pairwise(np.flatnonzero(number != WRONG).tolist()):
-            if number[i] == number[k]:
-                stood[at[i] : at[k]] = True
-            elif placed or stands(i, k) is False:
-                moved.append((at[i], at[k]))
-    for a, b in moved:
-        if not any(a <= c and d <= b and (a, b) != (c, d) for c, d in moved):
-            stood[a:b] = False
-    neck = moments.neck_angles[chosen.rows[rest]]
-    segment, first = np.zeros(m, int), 0
-    for k in range(1, m):
-        ends = not stood[k - 1] or np.abs(neck[k] - neck[first]).max(initial=0.0) > NECK_RAD
-        segment[k] = segment[k - 1] + ends
-        first = k if ends else first
-    return segment, wrong & ~agrees
+        at = np.full(m, -1)
+        at[views.rows] = np.arange(len(views.rows))
+        both = (at[i] >= 0) & (at[k] >= 0)
+        a, b = at[i[both]], at[k[both]]
+        turning = eye_views(views, description.head_kinematics, camera.eye, readings[rows])
+        apart = ((views.pixels[a] - views.pixels[b]) ** 2).sum(axis=2).mean(axis=1)
+        rested, stood = disturbed[i[both]] == disturbed[k[both]], apart < SAME_PX**2
+        squared = squared_distances(turning, a, b)
+        stands = np.where(rested, stood, squared < GATE)
+        vote[both] += np.where(stands, 1, -1) * (rested | np.isfinite(squared))
+        alike[at[k] >= 0] &= both[at[k] >= 0]
+        alike[both] &= stood
+        for first, last in np.stack([i[both], k[both]], axis=1)[rested & ~stood & (b == a + 1)]:
+            broken[first:last] = True
+    votes = np.zeros((m, REACH + 1), int)
+    votes[k, k - i] = vote
+    number = _stretches(votes, broken)
+    alike &= number[i] == number[k]
+    return number, np.unique(k[alike])
 
 
-def _stands(seen: BoardViews, disturbed: np.ndarray, i: int, k: int) -> bool | None:
-    """Tell whether the board stood between views i and k of an eye at rest; None: it moved.
+def _stretches(votes: np.ndarray, broken: np.ndarray) -> np.ndarray:
+    """Number stretches of frames (m,) that most of those before in the stretch agree with.
 
-    `disturbed` (n,) counts the moments before at which the head did not rest.
+    `votes` (m, REACH + 1) are positive where the board stood since the frame so far before,
+    negative where it moved, and 0 where cameras do not show it, or contradict each other. It moved
+    after frames that are `broken` (m - 1,). A frame that disagrees while one of the next agrees has
+    a number of its own.
     """
-    return None if disturbed[i] != disturbed[k] else _distance_px(seen, i, k) < SAME_PX
-
-
-def _distance_px(seen: BoardViews, i: int, k: int) -> float:
-    squares = ((seen.pixels[i] - seen.pixels[k]) ** 2).sum(axis=1)
-    return float(np.sqrt(np.mean(squares)))  # NaN, which is never near, outside of the lens
-
-
-def _alike(views: Mapping[str, BoardViews], number: np.ndarray, rest: np.ndarray) -> list[int]:
-    """List the frames whose images all look like those of an earlier frame of the placement."""
-    at = {
-        name: {row: k for k, row in enumerate(seen.rows.tolist())} for name, seen in views.items()
-    }
-    kept: dict[int, list[int]] = {}
-    alike = []
-    for row in rest.tolist():
-        cameras = [name for name in views if row in at[name]]
-        before = kept.setdefault(int(number[row]), [])
-        if cameras and any(
-            all(
-                other in at[name]
-                and _distance_px(views[name], at[name][other], at[name][row]) < SAME_PX
-                for name in cameras
-            )
-            for other in before
-        ):
-            alike.append(row)
-        else:
-            before.append(row)
-    return alike
+    number, last = np.full(len(votes), -1), -1
+    for first in range(len(votes)):
+        if number[first] >= 0:
+            continue
+        last = number[first] = last + 1
+        latest, unseen = first, []
+        for k in range(first + 1, len(votes)):
+            if broken[latest:k].any() or k > latest + PATIENCE:
+                break
+            members = first + np.flatnonzero(number[first:k] == last)
+            members = members[members >= k - REACH]
+            balance = votes[k, k - members].sum()
+            if balance > 0:
+                number[[*unseen, k]] = last
+                latest, unseen = k, []
+            elif balance == 0:
+                unseen.append(k)
+    return number

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.board_numbering import symmetries
+from vergence.calibration.board_numbering import nearest_numbering
 from vergence.calibration.intrinsics import calibrate_camera
 from vergence.calibration.lenses import LensModel
 from vergence.data.description import DatasetCamera
 from vergence.errors import VergenceError
-from vergence.geometry.board import Board, Charuco, corner_points
+from vergence.geometry.board import Board, corner_points
 from vergence.geometry.camera import Camera, pinhole, project
 from vergence.geometry.eye_motion import eye_linearised
 from vergence.geometry.kinematics import EYES, Kinematics, Side
@@ -22,6 +22,7 @@ from vergence.vision.board_pose import (
     LEAST_CORNERS,
     board_errors,
     board_poses,
+    determines_pose,
     refined_poses,
     seen_corners,
     seen_from_the_other_side,
@@ -40,7 +41,7 @@ class BoardViews:
     """What one camera saw in n frames."""
 
     rows: np.ndarray
-    """(n,) of int: which frames; those in which it determines the board's pose."""
+    """(n,) of int: which frames; those whose corners determine the board's pose."""
     T_cam_target: Array
     """(n, 4, 4), all numbered from one end of the board."""
     covariance: Array
@@ -49,21 +50,25 @@ class BoardViews:
     """(n, K, 2) where the pose puts the corners [px]."""
 
 
-def board_views(
-    stated: DatasetCamera, board: Board, corners: Array, wanted: np.ndarray
-) -> BoardViews:
-    """Place the board before a camera in wanted frames (n,), by its corners (F, K, 2) [px]."""
+def board_views(stated: DatasetCamera, board: Board, corners: Array) -> BoardViews | None:
+    """Place the board before a camera, by its corners (m, K, 2) [px], NaN where not seen.
+
+    None: no view determines its pose.
+    """
     points = corner_points(board)
-    rows = wanted[seen_corners(corners[wanted]).sum(axis=1) >= LEAST_CORNERS]
+    rows = np.flatnonzero(determines_pose(points, seen_corners(corners)))
+    if not len(rows):
+        return None
     camera = _rough_lens(stated, corners[rows], points)
     T = _board_poses(camera, corners[rows], points)
     rows, T = rows[known_poses(T)], T[known_poses(T)]
     errors, by_pose, _ = board_errors(camera, T, corners[rows], points)
     count = seen_corners(corners[rows]).sum(axis=1)
     squares = (errors**2).sum(axis=1) / (2 * count)
-    least = max(BEST_LENS_PX**2, float(squares.mean()) if len(rows) else 0.0)
+    least = max(BEST_LENS_PX**2, float(squares.mean()))
     scale = np.maximum(squares, least) * count / LEAST_CORNERS
-    turned = T if isinstance(board, Charuco) else _numbered_alike(T, symmetries(board), points)
+    R, middle = nearest_numbering(T[:, :3, :3], board), points.mean(axis=0)
+    turned = pose(R, T[:, :3, 3] + (T[:, :3, :3] - R) @ middle)
     carry = carried(np.tile(np.eye(6), (len(T), 1, 1)), turned[:, :3, 3] - T[:, :3, 3])
     covariance = scale[:, None, None] * np.linalg.inv(np.swapaxes(by_pose, 1, 2) @ by_pose)
     return BoardViews(
@@ -75,16 +80,16 @@ def board_views(
 
 
 def eye_views(views: BoardViews, kinematics: Kinematics, eye: Side, readings: Array) -> EyeViews:
-    """Join views with the poses of their eye, by readings (n, r) or poses (n, 2, 4, 4)."""
-    board = views.T_cam_target, views.covariance
+    """Join views with the poses of their eye, by readings (m, r) or poses (m, 2, 4, 4)."""
+    readings, board = readings[views.rows], (views.T_cam_target, views.covariance)
     if readings.ndim > 2:
         T = readings[:, EYES.index(eye)]
         by_errors = np.tile(np.diag([1.0] * 3 + [SHIFT_M] * 3), (len(T), 1, 1))
-        return EyeViews(T, by_errors, np.zeros((len(T), 6, 0)), *board)
+        return EyeViews(T, by_errors, *board)
     T, _, by_readings = eye_linearised(kinematics, eye, readings)
     used = kinematics.used(eye)
     by, gears = by_readings[..., used], kinematics.gear_ratios[used]
-    return EyeViews(T, by / gears, by * readings[:, None, used], *board)
+    return EyeViews(T, by / gears, *board)
 
 
 def _rough_lens(stated: DatasetCamera, corners: Array, points: Array) -> Camera:
@@ -108,15 +113,3 @@ def _board_poses(camera: Camera, corners: Array, points: Array) -> Array:
     other = seen_from_the_other_side(T, points)
     other, by_other = refined_poses(camera, corners, points, other)
     return np.where((by_other < squares)[:, None, None], other, T)
-
-
-def _numbered_alike(T_cam_target: Array, S: Array, points: Array) -> Array:
-    """Turn boards (n, 4, 4) so that each is numbered from the end nearest to that of the last."""
-    middle = points.mean(axis=0)
-    T_turn = pose(S, middle - S @ middle)
-    found = T_cam_target.copy()
-    for k in range(1, len(found)):
-        options = found[k] @ T_turn
-        alike = np.einsum("nab,ab->n", options[:, :3, :3], found[k - 1, :3, :3])
-        found[k] = options[alike.argmax()]
-    return found

@@ -11,15 +11,7 @@ from vergence.arrays import Array
 from vergence.data.dataset import LEAST_MOVING, MAX_GAP_S
 from vergence.recordings.moments import Moments
 from vergence.recordings.recording_map import FrameChoice, Span
-from vergence.recordings.stillness import (
-    eye_readings,
-    image_motion,
-    images_still,
-    is_stream,
-    joints_still,
-    reading_spread,
-    stretches,
-)
+from vergence.recordings.stillness import WINDOW_NS, eye_readings, image_motion, joint_motion
 
 MOST_MOVING = 300
 """Most moving frames: ten seconds at 30 Hz, by which an offset is known to a millisecond."""
@@ -45,22 +37,22 @@ def choose_frames(moments: Moments, stated: FrameChoice) -> ChosenFrames:
 
     What `stated` has is taken from there. Moments without all readings are left out.
     """
-    known = moments.known
-    spread, largest = reading_spread(moments)
+    known, joints, images = moments.known, joint_motion(moments), image_motion(moments)
     if stated.rest is not None:
         at_rest = _spans(moments, stated.rest)
-    elif is_stream(moments):
-        at_rest = stretches(known & joints_still(moments) & images_still(moments))
-    else:  # each image was taken on purpose
-        at_rest = list(np.arange(len(moments))[:, None])
-    motion, limits = image_motion(moments)
-    unrest = np.nansum(np.concatenate([spread / largest, motion / limits], axis=1), axis=1)
+    elif np.median(np.diff(moments.time_ns, prepend=0)) > WINDOW_NS:
+        at_rest = list(np.arange(len(moments))[:, None])  # each image was taken on purpose
+    else:
+        still = (joints <= 1).all(axis=1) & (np.nan_to_num(images) <= 1).all(axis=1)
+        at_rest = _runs(known & still)
+    unrest = np.nansum(np.concatenate([joints, images], axis=1), axis=1)
     rest = [row for rows in at_rest for row in _stillest(moments, rows[known[rows]], unrest)]
     if stated.moving is None:
-        eyes = spread.shape[1] - moments.neck_angles.shape[1]
-        turns = spread > largest
-        turns = turns[:, :eyes].any(axis=1) & ~turns[:, eyes:].any(axis=1)
-        moving = _motions(moments, known & turns)
+        turns = joints > 1
+        eyes = turns.shape[1] - moments.neck_angles.shape[1]
+        moving = _motions(
+            moments, known & turns[:, :eyes].any(axis=1) & ~turns[:, eyes:].any(axis=1)
+        )
     else:
         moving = np.concatenate([np.zeros(0, int), *_spans(moments, stated.moving)])
         moving = np.unique(moving[known[moving]])
@@ -78,6 +70,12 @@ def _spans(moments: Moments, spans: Sequence[Span]) -> list[np.ndarray]:
     return [np.flatnonzero((time_s >= begin) & (time_s <= end)) for begin, end in spans]
 
 
+def _runs(wanted: np.ndarray) -> list[np.ndarray]:
+    """List the indices of each run of moments (N,) that are wanted."""
+    rows = np.flatnonzero(wanted)
+    return np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1) if len(rows) else []
+
+
 def _stillest(moments: Moments, rows: np.ndarray, unrest: Array) -> list[int]:
     """Choose the stillest moment of a stretch, one with images of all cameras if there is one.
 
@@ -87,10 +85,9 @@ def _stillest(moments: Moments, rows: np.ndarray, unrest: Array) -> list[int]:
     rows = rows[len(rows) // 4 : len(rows) - len(rows) // 4]
     shown = np.stack([image[rows] >= 0 for image in moments.images.values()], axis=1)
     chosen: list[int] = []
-    missing = shown.any(axis=0) if len(rows) else np.zeros(0, bool)
+    missing = shown.any(axis=0)
     while missing.any():
-        gained = (shown & missing).sum(axis=1)
-        best = np.lexsort([unrest[rows], -gained])[0]
+        best = np.lexsort([unrest[rows], -(shown & missing).sum(axis=1)])[0]
         chosen.append(int(rows[best]))
         missing &= ~shown[best]
     return chosen
@@ -101,21 +98,18 @@ def _motions(moments: Moments, moves: np.ndarray) -> np.ndarray:
 
     A constant speed looks like an offset of the joints: what counts is how much it varies.
     """
-    time_s = seconds(moments)
-    values = eye_readings(moments)
-    pieces: list[tuple[float, np.ndarray]] = []
-    for stretch in stretches(moves):
-        late = np.flatnonzero(np.diff(time_s[stretch]) > MAX_GAP_S) + 1
-        for run in np.split(stretch, late):
-            count = max(1, round((time_s[run[-1]] - time_s[run[0]]) / PIECE_S))
-            for piece in np.array_split(run, count):
-                if len(piece) < LEAST_MOVING:
-                    continue
-                speed = np.gradient(values[piece], time_s[piece], axis=0)
+    time_s, readings = seconds(moments), eye_readings(moments)
+    scored: list[tuple[float, np.ndarray]] = []
+    for run in _runs(moves):
+        late = np.flatnonzero(np.diff(time_s[run]) > MAX_GAP_S) + 1
+        long = np.searchsorted(time_s[run], np.arange(time_s[run[0]], time_s[run[-1]], PIECE_S))
+        for piece in np.split(run, np.union1d(late, long[1:])):
+            if len(piece) >= LEAST_MOVING:
+                speed = np.gradient(readings[piece], time_s[piece], axis=0)
                 varies = ((speed - speed.mean(axis=0)) ** 2).sum(axis=1)
-                varies[np.abs(speed).max(axis=1) > FASTEST_RAD_S] = 0.0
-                pieces.append((float(varies.sum()), piece))
-    pieces.sort(key=lambda each: -each[0])
-    taken = np.cumsum([len(piece) for _, piece in pieces]) <= MOST_MOVING
-    kept = [piece for (_, piece), take in zip(pieces, taken, strict=True) if take]
-    return np.sort(np.concatenate(kept)) if kept else np.zeros(0, int)
+                blurred = np.abs(speed).max(axis=1) > FASTEST_RAD_S
+                scored.append((float(varies[~blurred].sum()), piece))
+    scored.sort(key=lambda each: -each[0])
+    taken = np.cumsum([len(piece) for _, piece in scored]) <= MOST_MOVING
+    kept = [piece for (_, piece), take in zip(scored, taken, strict=True) if take]
+    return np.sort(np.concatenate([np.zeros(0, int), *kept]))
