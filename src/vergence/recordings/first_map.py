@@ -8,8 +8,9 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import islice
 
 import numpy as np
@@ -17,9 +18,7 @@ import numpy as np
 from vergence.calibration.other_boards import find_board
 from vergence.data.images import to_8_bits
 from vergence.geometry.board import Charuco
-from vergence.geometry.kinematics import EYES, Side
-from vergence.recordings.name_words import Motion, NameWords, read_name
-from vergence.recordings.pose_tracks import pose_frames
+from vergence.geometry.kinematics import EYES
 from vergence.recordings.recording import Recording
 from vergence.recordings.recording_map import UNKNOWN
 from vergence.recordings.scan import Scan
@@ -27,9 +26,22 @@ from vergence.vision.exposure import grey_levels
 
 _PROBES = 8
 """Images in which a board is sought; each takes about half a second."""
-_LISTED = 20
-"""Most joints that are named as not used."""
-_PAN_TILT: tuple[Motion, ...] = ("pan", "tilt")
+_MEANINGS = {
+    "left": "left l lft",
+    "right": "right r rgt",
+    "pan": "pan yaw azimuth",
+    "tilt": "tilt pitch elevation",
+    "roll": "roll",
+    "version": "version vers",
+    "vergence": "vergence verg",
+    "eye": "eye eyes eyeball camera cameras cam stereo",
+    "neck": "neck head face",
+    "narrow": "narrow fovea foveal tele zoom",
+    "no": "arm wrist hand gripper finger thumb elbow shoulder leg hip knee ankle foot wheel torso "
+    "waist base third external depth disparity mask segmentation label confidence thermal",
+}
+"""Meanings of words; "no": neither an eye's, nor a picture."""
+_WORDS = {word: meaning for meaning, words in _MEANINGS.items() for word in words.split()}
 _ICUB = "neck_pitch", "neck_roll", "neck_yaw", "eyes_tilt", "eyes_version", "eyes_vergence"
 """Order of the six joints of an iCub's head, which YARP numbers."""
 
@@ -38,32 +50,26 @@ _ICUB = "neck_pitch", "neck_roll", "neck_yaw", "eyes_tilt", "eyes_version", "eye
 class _Joint:
     column: str
     """Its name or, where several channels have it, channel:name."""
-    words: NameWords
+    words: frozenset[str]
     unit: str
     reason: str
     """Why it has that unit."""
 
 
-@dataclass(frozen=True)
-class _Camera:
-    name: str
-    eye: Side
-    images: str
-    lens: str | None
-    reason: str
-
-
 def first_map(recording: Recording, scanned: Scan) -> str:
     """Guess the map of a scanned recording, as the text of a TOML file."""
     cameras, joints = _cameras(scanned), _joints(scanned)
-    eyes = [eye for eye in EYES if any(each.eye == eye for each in cameras)]
     lines = [
-        "# A first map of a recording. Correct the guesses that are wrong, and fill in each "
-        f"{_text(UNKNOWN)}.",
-        *_camera_lines(cameras),
-        *_board_lines([*_some_images(recording, scanned, cameras)]),
-        *(_joint_lines(joints, eyes) if joints else _pose_lines(recording, eyes)),
+        f"# A first map. Correct the guesses that are wrong, and fill in each {_text(UNKNOWN)}."
     ]
+    for name, (channel, reason) in cameras.items():
+        lines += [f"\n[cameras.{name}]", f"images = {_text(channel)}"]
+        lines += [f'eye = "{name.partition("_")[0]}"  # {reason}; left as the robot\'s own']
+        lenses = [lens for lens in scanned.lenses if _camera_of(lens) == _camera_of(channel)]
+        lines += [f"lens = {_text(lens)}  # sure: of the same name" for lens in lenses[:1]]
+    channels = [channel for channel, _ in cameras.values()]
+    lines += _board_lines([*_some_images(recording, scanned, channels)])
+    lines += _joint_lines(joints, [eye for eye in EYES if any(eye in name for name in cameras)])
     return "\n".join(lines) + "\n"
 
 
@@ -72,57 +78,39 @@ def _text(text: str) -> str:
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-def _cameras(scanned: Scan) -> list[_Camera]:
-    """Select a channel of images for each camera of an eye."""
+def _cameras(scanned: Scan) -> dict[str, tuple[str, str]]:
+    """Select a channel of images for each camera, and say how sure its eye is."""
     groups: dict[str, list[str]] = {}
-    for name in scanned.images.keys() - scanned.errors.keys():
-        words = read_name(name)
-        if not (words.elsewhere or words.no_picture):
-            groups.setdefault(_camera_of(name), []).append(name)
+    for channel in sorted(scanned.images.keys() - scanned.errors.keys()):
+        if "no" not in _read_name(channel):
+            groups.setdefault(_camera_of(channel), []).append(channel)
     # As the sensor sees, not rectified, and not compressed where there is both.
-    chosen = sorted(
-        min(group, key=lambda name: ("rect" in name, name.endswith("/compressed"), name))
-        for group in groups.values()
-    )
-    sided = [name for name in chosen if read_name(name).side]
-    found: list[_Camera] = []
-    for order, name in enumerate(sided or chosen[: len(EYES)]):
-        words = read_name(name)
-        eye = words.side or EYES[order]
-        reason = "sure: by its name" if words.side else "guess: by the order of the names"
-        lens = next((each for each in scanned.lenses if _camera_of(each) == _camera_of(name)), None)
-        called = f"{eye}_{'narrow' if words.narrow else 'wide'}"
-        same = sum(other.name.startswith(called) for other in found)
-        called += f"_{same + 1}" if same else ""
-        found.append(_Camera(called, eye, name, lens, reason))
-    return found
+    chosen = [min(each, key=lambda name: ("rect" in name, len(name))) for each in groups.values()]
+    sides = {name: side for name in chosen for side in EYES if side in _read_name(name)}
+    reason = "sure: by its name" if sides else "guess: by the order of names"
+    found = {}
+    for channel, side in (sides or dict(zip(chosen, EYES, strict=False))).items():
+        name = f"{side}_{'narrow' if 'narrow' in _read_name(channel) else 'wide'}"
+        same = sum(other.startswith(name) for other in found)
+        found[f"{name}_{same + 1}" if same else name] = channel, reason
+    return found or {"left_wide": (UNKNOWN, "guess")}
 
 
 def _camera_of(channel: str) -> str:
     """Strip the last part of a topic, such as image_raw, and how it is compressed."""
     camera, _, last = channel.removesuffix("/compressed").rpartition("/")
-    words = read_name(last)
-    return channel if not camera or words.side or words.eye or words.neck else camera
-
-
-def _camera_lines(cameras: Sequence[_Camera]) -> Iterator[str]:
-    for each in cameras or [_Camera("left_wide", "left", UNKNOWN, None, "guess")]:
-        yield f"\n[cameras.{each.name}]"
-        yield f'eye = "{each.eye}"  # {each.reason}; left and right as the robot\'s own'
-        yield f"images = {_text(each.images)}"
-        if each.lens:
-            yield f"lens = {_text(each.lens)}  # sure: of the same name as the images"
+    return camera if camera and not _read_name(last) else channel
 
 
 def _some_images(
-    recording: Recording, scanned: Scan, cameras: Sequence[_Camera]
+    recording: Recording, scanned: Scan, channels: Sequence[str]
 ) -> Iterator[np.ndarray]:
-    """Read images of all cameras, spread over the recording."""
-    for each in cameras[:_PROBES]:
-        received_ns = scanned.images[each.images].received_ns
-        count = -(-_PROBES // len(cameras))
+    """Read images of all channels, spread over the recording."""
+    for channel in scanned.images.keys() & channels:
+        received_ns = scanned.images[channel].received_ns
+        count = -(-_PROBES // len(channels))
         for at in received_ns[np.linspace(0, len(received_ns) - 1, count + 2).astype(int)[1:-1]]:
-            for message in islice(recording.read([each.images], int(at), int(at) + 1), 1):
+            for message in islice(recording.read([channel], int(at), int(at) + 1), 1):
                 content = message.decode()
                 assert isinstance(content, np.ndarray)
                 yield grey_levels(to_8_bits(content))
@@ -154,97 +142,85 @@ def _joints(scanned: Scan) -> list[_Joint]:
         channels.setdefault(channel, []).append(name)
     found = []
     for channel, names in channels.items():
-        yarp = names[0].startswith(f"{channel}/")
-        icub = yarp and "head" in channel and len(names) == len(_ICUB)
-        words = [read_name(name) for name in (_ICUB if icub else names)]
+        yarp = names[0].startswith(f"{channel}/")  # numbers of its vectors
+        icub = yarp and "neck" in _read_name(channel) and len(names) == len(_ICUB)
+        words = [_read_name(name) for name in (_ICUB if icub else names)]
         values = [scanned.joints[channel, name].values for name in names]
-        of_head = [each for each, word in zip(values, words, strict=True) if word.eye or word.neck]
+        of_head = [each for each, has in zip(values, words, strict=True) if has & {"eye", "neck"}]
         most = max((float(np.abs(each).max()) for each in of_head), default=0.0)
         unit = "deg" if yarp or most > np.pi else "rad"
-        reason = "sure: degrees" if most > 2 * np.pi else f"guess: {unit}"
-        for name, word, each in zip(names, words, values, strict=True):
+        reason = f"{'sure' if most > 2 * np.pi else 'guess'}: {unit}"
+        for name, has, each in zip(names, words, values, strict=True):
             column = name if count[name] == 1 else f"{channel}:{name}"
-            found.append(
-                _Joint(column, word, unit, f"{reason}, {each.min():.3g} to {each.max():.3g}")
-            )
+            span = f"{reason}, {each.min():.3g} to {each.max():.3g}"
+            found.append(_Joint(column, has, unit, span))
     return found
 
 
-def _joint_lines(joints: Sequence[_Joint], eyes: Sequence[Side]) -> list[str]:
+def _joint_lines(joints: Sequence[_Joint], eyes: Sequence[str]) -> Iterator[str]:
     """Describe pan and tilt of each eye, or version and vergence, and the neck."""
-    usable = [each for each in joints if not each.words.elsewhere]
-    roles = {f"{eye}_{motion}": _role(usable, eye, motion) for eye in eyes for motion in _PAN_TILT}
-    version, vergence = (
-        next((each for each in usable if each.words.motion == motion), None)
-        for motion in ("version", "vergence")
-    )
-    lines = []
-    if version and vergence:
-        tilt = next((each for name, (each, _) in roles.items() if each and "tilt" in name), None)
-        lines += [
-            *_version_lines(version, vergence, tilt or _Joint(UNKNOWN, read_name(""), "rad", ""))
-        ]
-        used, roles = {version, vergence, tilt}, {}
-    else:
-        used = {each for each, _ in roles.values()}
-    lines.append(
-        "\n[joints]  # pan is positive to the left, tilt down; calibrate names wrong signs"
-    )
-    for name, (each, reason) in roles.items():
-        if each:
-            lines.append(_joint_line(name, each, reason))
-        else:
-            lines.append(f'{name} = {{ column = {_text(UNKNOWN)}, unit = "rad", sign = 1 }}')
+    if not joints:
+        yield "\n# No joint readings: name frames of TF that turn with the eyes, as poses."
+        return
+    usable = [each for each in joints if "no" not in each.words]
+    roles = {f"{eye}_{motion}": (eye, motion) for eye in eyes for motion in ("pan", "tilt")}
+    found = {role: _turning(usable, *way) for role, way in roles.items()}
+    version = [each for each in usable if each.words & {"version", "vergence"}]
+    if len(version) == 2:
+        version.sort(key=lambda each: "vergence" in each.words)
+        version.append(found["left_tilt"][0] or _Joint(UNKNOWN, frozenset(), "rad", "guess"))
+        yield from _version_lines(*version)
+        found = {}
+    yield "\n[joints]  # pan is positive to the left, tilt down; calibrate names wrong signs"
+    taken = [*version, *(each for each, _ in found.values())]
     for each in usable:
-        key = re.sub(r"\W", "_", each.column, flags=re.ASCII)
-        if each.words.neck and not each.words.eye and each.words.motion and each not in used:
-            lines.append(_joint_line(f"neck_{key}"[:60], each, "guess: a joint of the neck"))
-            used.add(each)
-    others = [each.column for each in joints if each not in used][:_LISTED]
-    return [*lines, *(f"# not used: {_text(column)}" for column in others)]
+        if "neck" in each.words and each.words & {"pan", "tilt", "roll"} and each not in taken:
+            name = re.sub(r"\W", "_", f"neck_{each.column}", flags=re.ASCII)[:60]
+            found[name] = each, "guess: a joint of the neck"
+    for name, (each, reason) in found.items():
+        joint = each or _Joint(UNKNOWN, frozenset(), "rad", "guess")
+        source = f'column = {_text(joint.column)}, unit = "{joint.unit}", sign = 1'
+        yield f"{name} = {{ {source} }}  # {reason}; {joint.reason}; guess: sign"
 
 
-def _role(joints: Sequence[_Joint], eye: Side, motion: str) -> tuple[_Joint | None, str]:
+def _turning(joints: Sequence[_Joint], eye: str, motion: str) -> tuple[_Joint | None, str]:
     """Find the joint that turns an eye, and say how sure it is."""
-    ranks: Mapping[str, Callable[[NameWords], bool]] = {
-        "sure: by its name": lambda words: words.side == eye and words.eye,
-        "guess: it has the side": lambda words: words.side == eye,
-        "guess: both eyes share it": lambda words: words.side is None and not words.neck,
-        "guess: it carries both eyes": lambda words: words.side is None,
-    }
-    for reason, fits in ranks.items():
-        for each in joints:
-            if each.words.motion == motion and fits(each.words):
-                return each, reason
-    return None, ""
-
-
-def _joint_line(name: str, joint: _Joint, reason: str) -> str:
-    source = f'{{ column = {_text(joint.column)}, unit = "{joint.unit}", sign = 1 }}'
-    return f"{name} = {source}  # {reason}; {joint.reason}; guess: sign"
+    own = [each for each in joints if motion in each.words]
+    mine = [each for each in own if eye in each.words]
+    shared = [each for each in own if not each.words & set(EYES)]
+    shared.sort(key=lambda each: ("neck" in each.words, "eye" not in each.words))
+    if mine:
+        return mine[0], f"{'sure' if 'eye' in mine[0].words else 'guess'}: by its name"
+    return (shared[0], "guess: both eyes share it") if shared else (None, "no name tells it")
 
 
 def _version_lines(version: _Joint, vergence: _Joint, tilt: _Joint) -> Iterator[str]:
     """Describe eyes whose common tilt carries their pans, as the iCub's."""
     yield "\n[kinematics]  # guess: the tilt carries the pans; left pan = version - vergence / 2"
     for eye, half in zip(EYES, (-0.5, 0.5), strict=True):
-        pan = f"{_text(version.column)} = 1, {_text(vergence.column)} = {half}"
+        turns = {"tilt": {tilt.column: 1}, "pan": {version.column: 1, vergence.column: half}}
         yield f"{eye} = ["
-        yield f'    {{ name = "tilt", axis = "tilt", readings = {{ {_text(tilt.column)} = 1 }} }},'
-        yield f'    {{ name = "pan", axis = "pan", readings = {{ {pan} }} }},\n]'
+        for name, readings in turns.items():
+            factors = ", ".join(f"{_text(column)} = {each}" for column, each in readings.items())
+            yield f'    {{ name = "{name}", axis = "{name}", readings = {{ {factors} }} }},'
+        yield "]"
     yield "\n[readings]  # calibrate names wrong signs"
     for each in (version, vergence, tilt):
         yield f'{_text(each.column)} = {{ unit = "{each.unit}", sign = 1 }}  # {each.reason}'
 
 
-def _pose_lines(recording: Recording, eyes: Sequence[Side]) -> Iterator[str]:
-    """Describe poses of the eyes by the frames of a recording without joint readings."""
-    parents = pose_frames(recording)
-    if not parents:
-        yield "\n# There are no joint readings, nor poses of the eyes: record one of both."
-    for eye in eyes if parents else ():
-        own = [name for name in parents if read_name(name).side == eye and read_name(name).eye]
-        roots = [name for name in parents.values() if name not in parents]
-        yield f"\n[poses.{eye}]  # guess: by the names of frames"
-        yield f"base = {_text((roots or [UNKNOWN])[0])}  # stays where it is in the head"
-        yield f"eye = {_text((own or [UNKNOWN])[0])}  # turns with the eye"
+def _read_name(name: str) -> frozenset[str]:
+    """Find the meanings in a name such as `/stereo/left/image_raw`, `l_eye_pan` or `EyesTilt`."""
+    spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", name)
+    parts = (part for word in re.findall(r"[a-z]+", spaced.lower()) for part in _split(word))
+    return frozenset(_WORDS[part] for part in parts if part in _WORDS)
+
+
+@lru_cache(maxsize=4096)
+def _split(word: str) -> tuple[str, ...]:
+    """Split a word such as `lpan` or `leftcamera` where all its parts are known."""
+    if word not in _WORDS and len(word) <= 40:
+        for k in range(len(word) - 1, 0, -1):
+            if word[:k] in _WORDS and set(rest := _split(word[k:])) <= _WORDS.keys():
+                return (word[:k], *rest)
+    return (word,)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -14,7 +12,6 @@ import cv2
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.other_boards import other_board
 from vergence.data.dataset import LEAST_MOVING, MAX_GAP_S, Frame
 from vergence.data.images import to_8_bits
 from vergence.data.writer import DatasetRow, write_dataset
@@ -24,21 +21,16 @@ from vergence.findings import Finding, note
 from vergence.geometry.board import Board, described
 from vergence.progress import Progress, silent
 from vergence.recordings.board_placements import number_placements
-from vergence.recordings.chosen_images import read_images
-from vergence.recordings.clocks import check_stamps
 from vergence.recordings.formats import open_recording
 from vergence.recordings.frame_choice import ChosenFrames, choose_frames
 from vergence.recordings.joint_streams import write_stream
-from vergence.recordings.mapped_scan import on_the_clock, scan_mapped
-from vergence.recordings.moments import STILL, Moments, find_moments
+from vergence.recordings.mapped_scan import on_the_clock, read_images, scan_mapped
+from vergence.recordings.moments import STILL, Moments, check_stamps, find_moments
 from vergence.recordings.recording_map import RecordingMap
 from vergence.vision.board_detection import detect_board
-from vergence.vision.exposure import grey_levels
 
 _ImagesOf = Callable[[np.ndarray], Iterator[dict[str, np.ndarray]]]
 _TASK = "finding the board"
-_PROBES = 4
-"""Frames in which another board is sought where none shows the one of the map."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +59,7 @@ def import_recording(
         scanned, description = scan_mapped(recording, mapped, progress=progress)
         findings = check_stamps(scanned, mapped, description)
         moments = find_moments(scanned, mapped, description)
-        findings = (*findings, *_check_readings(moments, mapped))
+        findings += _without_readings(moments, mapped)
         channels = {name: source.images for name, source in mapped.cameras.items()}
         again = partial(read_images, recording, scanned.images, channels, moments)
         found = mapped.frames.moving is None and description.board is None
@@ -76,7 +68,11 @@ def import_recording(
         if description.board is not None:
             corners = _corners(description.board, channels, again, chosen.rows, progress)
             if not any(np.isfinite(uv).any() for uv in corners.values()):
-                raise VergenceError(f"{path}: {_why_no_board(description.board, again, chosen)}.")
+                board = description.board
+                raise VergenceError(
+                    f"None of {counted(len(chosen.rows), 'frame')} of {path} shows a "
+                    f"{described(board)}, as the map describes it."
+                )
             placement = number_placements(description, moments, chosen, corners, mapped.frames)
             kept = placement >= 0
             chosen = ChosenFrames(chosen.rows[kept], chosen.moving[kept])
@@ -111,20 +107,15 @@ def import_recording(
     return ImportedRecording(len(chosen.rows), int(chosen.moving.sum()), places, findings)
 
 
-def _check_readings(moments: Moments, mapped: RecordingMap) -> Iterator[Finding]:
+def _without_readings(moments: Moments, mapped: RecordingMap) -> tuple[Finding, ...]:
     """Note images without readings; VergenceError if all are."""
-    missing = int((~moments.known).sum())
-    if missing == len(moments):
-        raise VergenceError(
-            f"No image has joint readings before and after it within {mapped.max_gap_s:g} s; set "
-            "max_gap_s in the map to the longest time between two readings."
-        )
-    if missing:
-        yield note(
-            "no-readings",
-            f"{counted(missing, 'moment')} of {len(moments)} have images but no joint readings "
-            f"around them within {mapped.max_gap_s:g} s, and were left out.",
-        )
+    sentence = (
+        f"{int((~moments.known).sum())} of {len(moments)} images have no joint readings around "
+        f"them within max_gap_s = {mapped.max_gap_s:g} s of the map"
+    )
+    if not moments.known.any():
+        raise VergenceError(f"{sentence}.")
+    return () if moments.known.all() else (note("no-readings", f"{sentence}; they were left out."),)
 
 
 def _all_frames(moments: Moments) -> ChosenFrames:
@@ -147,43 +138,23 @@ def _all_frames(moments: Moments) -> ChosenFrames:
 
 
 def _corners(
-    board: Board,
-    cameras: Iterable[str],
-    images_of: _ImagesOf,
-    rows: np.ndarray,
-    progress: Progress,
+    board: Board, cameras: Iterable[str], images_of: _ImagesOf, rows: np.ndarray, progress: Progress
 ) -> dict[str, Array]:
     """Find the board in the images of chosen frames: by camera (F, K, 2), NaN where not seen."""
-    count = len(rows)
-    found = {name: np.full((count, board.columns * board.rows, 2), np.nan) for name in cameras}
-    progress(_TASK, 0, count)
-    waiting: deque[tuple[int, str, Future[Array | None]]] = deque()
-    workers = os.cpu_count() or 1
-    with ThreadPoolExecutor(workers) as pool:
+    shape = len(rows), board.columns * board.rows, 2
+    found = {name: np.full(shape, np.nan) for name in cameras}
+    progress(_TASK, 0, len(rows))
+    with ThreadPoolExecutor() as pool:
         for k, images in enumerate(images_of(rows)):
-            for name, image in images.items():
-                waiting.append((k, name, pool.submit(_detect, image, board)))
-            while len(waiting) > (4 * workers if k < count - 1 else 0):  # bounds the memory
-                row, camera, corners = waiting.popleft()
-                if (seen := corners.result()) is not None:
-                    found[camera][row] = seen
-                progress(_TASK, row + 1, count)
+            corners = pool.map(partial(_detect, board), images.values())
+            for name, seen in zip(images, corners, strict=True):
+                found[name][k] = np.nan if seen is None else seen
+            progress(_TASK, k + 1, len(rows))
     return found
 
 
-def _detect(image: np.ndarray, board: Board) -> Array | None:
+def _detect(board: Board, image: np.ndarray) -> Array | None:
     try:
         return detect_board(to_8_bits(image), board)
     except cv2.error:  # images of a few pixels, for example
         return None
-
-
-def _why_no_board(board: Board, images_of: _ImagesOf, chosen: ChosenFrames) -> str:
-    """Say what a few of the frames show in place of the board."""
-    rows = chosen.rows[:: max(1, len(chosen.rows) // _PROBES)][:_PROBES]
-    images = [grey_levels(to_8_bits(each)) for frame in images_of(rows) for each in frame.values()]
-    instead = other_board(images, board)
-    return (
-        f"none of {counted(len(chosen.rows), 'frame')} shows a {described(board)}; "
-        f"{instead or 'check board in the map'}"
-    )

@@ -10,6 +10,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.data.description import Description
 from vergence.errors import VergenceError
+from vergence.findings import Finding, warning
 from vergence.recordings.interpolation import interpolate
 from vergence.recordings.pose_tracks import eye_poses
 from vergence.recordings.recording_map import RecordingMap
@@ -95,6 +96,41 @@ def find_moments(scanned: Scan, mapped: RecordingMap, description: Description) 
         neck_angles=neck_angles[kept],
         T_base_eye=None if T_base_eye is None else T_base_eye[kept],
     )
+
+
+def check_stamps(
+    scanned: Scan, mapped: RecordingMap, description: Description
+) -> tuple[Finding, ...]:
+    """Note stamps that are repeated or go backward.
+
+    VergenceError if images and joint readings cannot be brought together by their stamps.
+    """
+    remedy = 'set stamps = "received" in the map if the recorder has one clock'
+    used = {each.images: scanned.images[each.images].stamp_ns for each in mapped.cameras.values()}
+    for joint in description.sources.values():
+        used[joint.column] = joint_track(scanned, joint.column).stamp_ns
+    findings = []
+    for name, stamp_ns in used.items():
+        steps = np.diff(stamp_ns)
+        odd, frozen = int((steps <= 0).sum()), int((steps == 0).sum())
+        if 2 * frozen > len(steps) > 1:
+            raise VergenceError(
+                f"The stamps of {name} stand still, {frozen} of {len(stamp_ns)} repeat the one "
+                f"before; {remedy}."
+            )
+        if odd:
+            sentence = (
+                f"{odd} of {len(stamp_ns)} stamps of {name} repeat the one before or are earlier, "
+                f"by up to {-steps.min() * 1e-9:.3g} s; they were put in order."
+            )
+            findings.append(warning("stamps-out-of-order", sentence, name))
+    last, first = max(used, key=lambda n: used[n].min()), min(used, key=lambda n: used[n].max())
+    if used[last].min() > used[first].max():
+        raise VergenceError(
+            f"The stamps are of two clocks: those of {first} end at {used[first].max() * 1e-9:.3f} "
+            f"s, before those of {last} begin at {used[last].min() * 1e-9:.3f} s; {remedy}."
+        )
+    return tuple(findings)
 
 
 def _period_ns(stamp_ns: np.ndarray) -> float:

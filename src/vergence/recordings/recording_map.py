@@ -102,21 +102,19 @@ def load_map(path: Path) -> RecordingMap:
     return read_parsed(
         path,
         "a map of a recording",
-        lambda content: validated(_filled_in(content), RecordingMap),
-        tomllib.loads,
+        lambda content: validated(content, RecordingMap),
+        _parse,
         most_bytes=MAX_MAP_BYTES,
     )
 
 
-def _filled_in(content: Any, where: str = "") -> Any:
-    """Return parsed content; ValueError where something is UNKNOWN."""
-    if content == UNKNOWN:
-        raise ValueError(f"{where} is not filled in; found {UNKNOWN!r}")
-    parts = content.items() if isinstance(content, dict) else ()
-    for key, each in parts or enumerate(content if isinstance(content, list) else ()):
-        _filled_in(key, f"{where}, the name of a column,".lstrip(", "))
-        _filled_in(each, f"{where}.{key}".lstrip("."))
-    return content
+def _parse(text: str) -> Any:
+    """Parse a map; ValueError for a line with something UNKNOWN."""
+    for number, line in enumerate(text.splitlines(), 1):
+        stated = line.partition("#")[0].strip()
+        if f'"{UNKNOWN}"' in stated:
+            raise ValueError(f"line {number} is not filled in, {stated}")
+    return tomllib.loads(text)
 
 
 def describe(

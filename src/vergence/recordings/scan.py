@@ -77,8 +77,6 @@ class Scan:
     """By channel: the last one."""
     poses: Mapping[tuple[str, str], PoseTrack]
     """By parent and child."""
-    delay_ns: Mapping[str, int] = field(default_factory=dict)
-    """By channel: the shortest time from a message's stamp to its receipt [ns]."""
     errors: Mapping[str, str] = field(default_factory=dict)
     """By channel why its messages cannot be used."""
 
@@ -108,7 +106,6 @@ def scan(
     joints: dict[tuple[str, str], tuple[array[int], array[float]]] = {}
     lenses: dict[str, Camera] = {}
     poses: dict[tuple[str, str], list[tuple[int, Array]]] = {}
-    delays: dict[str, int] = {}
     errors: dict[str, str] = {}
     progress("reading the recording", 0, total)
     for done, message in enumerate(recording.read(list(wanted), None, None), 1):
@@ -119,8 +116,6 @@ def scan(
                 raise
             errors.setdefault(message.channel, str(error))
             continue
-        delay = message.received_ns - stamp
-        delays[message.channel] = min(delay, delays.get(message.channel, delay))
         if isinstance(content, JointSample):
             for name, value in zip(content.names, content.values.tolist(), strict=True):
                 if columns is None or name in columns or f"{message.channel}:{name}" in columns:
@@ -162,7 +157,6 @@ def scan(
             name: PoseTrack(np.array([t for t, _ in rows]), np.array([T for _, T in rows]))
             for name, rows in poses.items()
         },
-        delay_ns=delays,
         errors=errors,
     )
 
