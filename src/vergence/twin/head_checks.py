@@ -11,7 +11,6 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.errors import listed
-from vergence.geometry.camera import normalise
 from vergence.geometry.head import base_pose, camera_pose_in_base
 from vergence.geometry.kinematics import eye_joint_angles
 from vergence.geometry.neck import head_pose
@@ -23,14 +22,12 @@ from vergence.twin.model_chain import at_rest, body_pose
 
 WAVE_RAD = 0.3 * np.sin(np.linspace(0, 2 * np.pi, 24))
 """Angles of a joint there and back, within the usual ranges of eyes and necks."""
-AXIS_M, VIEW_M = 0.06, 0.1
-"""Drawn length of a joint's axis, and depth of a camera's view [m]."""
+AXIS_M = 0.06
+"""Drawn length of a joint's axis in the recording."""
+DRAWN_M = 0.03
+"""Length of the axes and of the cameras of the picture."""
 SIZE_PX = 960, 720
 """Width and height of the picture."""
-BLUE, ORANGE = (0.1, 0.4, 0.9, 1.0), (0.9, 0.5, 0.1, 1.0)
-"""Colours of axes and views."""
-CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
-"""Shape of the lines."""
 
 
 def pose_joints(
@@ -56,7 +53,7 @@ def disagreement(model: mujoco.MjModel, designed: DesignedHead) -> float:
     """
     head, rng, differences = designed.head, np.random.default_rng(0), []
     r, n = len(head.kinematics.readings), len(designed.neck)
-    straight = body_pose(pose_joints(model, designed, np.zeros(r), np.zeros(n)), designed.base)
+    straight = body_pose(at_rest(model, moving_joints(designed)), designed.base)
     T_body_world = head_pose(head.neck, np.zeros(n)) @ inverse(straight @ designed.T_base_head)
     for _ in range(20):
         readings, neck = rng.uniform(-1, 1, r), rng.uniform(-1, 1, n)
@@ -97,8 +94,8 @@ class View(NamedTuple):
 def sweep(model: mujoco.MjModel, designed: DesignedHead) -> Iterator[View]:
     """Move each joint of the neck and each reading of the eyes in turn."""
     n, r = len(designed.neck), len(designed.head.kinematics.readings)
-    straight = pose_joints(model, designed, np.zeros(r), np.zeros(n))
-    T_head_world = inverse(body_pose(straight, designed.base) @ designed.T_base_head)
+    straight = body_pose(at_rest(model, moving_joints(designed)), designed.base)
+    T_head_world = inverse(straight @ designed.T_base_head)
     names = [model.body(b).name for b in range(1, model.nbody)]
     for posture in np.kron(np.eye(n + r), WAVE_RAD[:, None]):
         data = pose_joints(model, designed, posture[n:], posture[:n])
@@ -115,41 +112,28 @@ def _axes(data: mujoco.MjData, designed: DesignedHead) -> Array:
 
 
 def picture(model: mujoco.MjModel, designed: DesignedHead) -> np.ndarray:
-    """Render the head (H, W, 3), RGB, with axes and views; VergenceError without OpenGL."""
-    head, n = designed.head, len(designed.neck)
-    data = pose_joints(model, designed, np.zeros(len(head.kinematics.readings)), np.zeros(n))
+    """Render the head (H, W, 3), RGB, with axes of its joints and views of the model's cameras.
+
+    VergenceError without OpenGL.
+    """
+    data = at_rest(model, moving_joints(designed))
+    view, option, shown = mujoco.MjvCamera(), mujoco.MjvOption(), mujoco.mjtVisFlag
     mujoco.mj_forward(model, data)
-    lines = [(0.0015, BLUE, ends) for ends in _axes(data, designed)]
-    for name, mounted in head.cameras.items():
-        T = body_pose(data, designed.cameras[name]) @ designed.T_body_cam[name]
-        corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * (
-            np.array(mounted.intrinsics.size) - 1.0
-        )
-        rays = np.column_stack([normalise(mounted.intrinsics, corners), np.ones(4)])
-        tips = transform(T, VIEW_M * rays)
-        for k in range(4):
-            lines.append((0.0005, ORANGE, np.array([T[:3, 3], tips[k]])))
-            lines.append((0.0005, ORANGE, np.array([tips[k - 1], tips[k]])))
     T = body_pose(data, designed.base) @ designed.T_base_head
-    view, (x, y, z) = mujoco.MjvCamera(), T[:3, :3] @ [-1.0, -0.7, -0.4]
-    view.lookat, view.distance = T[:3, 3], 0.7
-    view.azimuth = np.degrees(np.arctan2(y, x))
+    x, y, z = T[:3, :3] @ [-1.0, -0.7, -0.4]
+    view.lookat, view.distance, view.azimuth = T[:3, 3], 0.7, np.degrees(np.arctan2(y, x))
     view.elevation = np.degrees(np.arctan2(z, np.hypot(x, y)))
+    for flag in (shown.mjVIS_JOINT, shown.mjVIS_CAMERA, shown.mjVIS_TRANSPARENT):
+        option.flags[flag] = True
     model.vis.global_.offwidth, model.vis.global_.offheight = SIZE_PX
     model.vis.headlight.ambient, model.vis.headlight.diffuse = [0.5] * 3, [0.5] * 3
-    model.vis.map.znear = 0.02 / model.stat.extent
+    model.vis.map.znear, model.stat.meansize = 0.02 / model.stat.extent, DRAWN_M
+    model.vis.scale.frustum, model.vis.scale.jointlength = 3.0, 3.0  # times that
+    model.vis.scale.jointwidth = 0.1
     try:
         renderer = mujoco.Renderer(model, *SIZE_PX[::-1])
     except Exception as error:  # each backend raises its own kind
         raise no_opengl(error) from error
     with renderer:
-        renderer.update_scene(data, view)
-        for width_m, colour, (start, end) in lines:
-            geom, capsule = (
-                renderer.scene.geoms[renderer.scene.ngeom],
-                mujoco.mjtGeom.mjGEOM_CAPSULE,
-            )
-            mujoco.mjv_initGeom(geom, int(capsule), np.zeros(3), np.zeros(3), np.zeros(9), colour)
-            mujoco.mjv_connector(geom, int(capsule), width_m, start, end)
-            renderer.scene.ngeom += 1
+        renderer.update_scene(data, view, option)
         return renderer.render()

@@ -67,14 +67,11 @@ def _completed(stated: HeadFile, model: mujoco.MjModel) -> HeadFile:
     fixed = joints_to(model, base)
     inside = {name: [j for j in path if j not in fixed] for name, path in paths.items()}
     data = at_rest(model, {joint for path in paths.values() for joint in path})
-    T = {
-        n: inverse(body_pose(data, base)) @ body_pose(data, body) for n, (body, _) in where.items()
-    }
-    directions = _directions(data, base, T, where)
-    forward, up = (
-        direction if own is None else own
-        for own, direction in zip((stated.forward, stated.up), directions, strict=True)
-    )
+    T_base = inverse(body_pose(data, base))
+    T = {name: T_base @ body_pose(data, body) for name, (body, _) in where.items()}
+    forward, up = _directions(data, base, T, where)
+    forward = forward if stated.forward is None else stated.forward
+    up = up if stated.up is None else stated.up
     left = cross(up, forward)
     places = {
         n: float(transform(T[n], np.zeros(3) if own is None else own[:3, 3]) @ left)
