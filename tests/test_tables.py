@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vergence.recordings.formats import open_recording
-from vergence.recordings.stamps import UNITS_NS, recognise_unit
+from vergence.recordings.stamps import UNITS_NS, read_stamps
 from written_recordings import (
     IMAGE_NS,
     IMAGES,
@@ -62,7 +62,9 @@ def test_units_are_recognised_and_said(tmp_path, unit):
     ],
 )
 def test_the_unit_follows_from_name_or_size(first, step, name, unit):
-    assert recognise_unit(first + step * np.arange(50), name, "here") == unit
+    found, stamps = read_stamps(first + step * np.arange(50), name, "here")
+    assert found == unit
+    assert np.diff(stamps)[0] == pytest.approx(step * UNITS_NS[unit], abs=300)
 
 
 def test_a_reading_that_is_missing_is_left_out(tmp_path):
@@ -113,12 +115,12 @@ def test_images_numbered_by_frames_need_a_csv(tmp_path):
         ("pan,tilt\n1,2\n", "csv without a column of times"),
         ("time,pan\n", "csv without a column of times"),
         ("time,pan\n0.1,1\n0.2\n", "Expected 2 columns, got 1"),
-        ("time,pan\n0.1,1\n0.2,on\n", "has 'on' among numbers, in row 2 of column pan"),
-        ("time,pan\n0.1,1\nnoon,2\n", "has 'noon' among numbers, in row 2 of column time"),
+        ("time,pan\n0.1,1\n0.2,on\n", "Failed to parse string: 'on'"),
+        ("time,pan\n0.1,1\nnoon,2\n", "Failed to parse string: 'noon'"),
         ("time,pan\n0.1,1\n,2\n", "stamp 2 is nan"),
         ("time,pan\n0.1,1\n1e30,2\n", "stamp 2 is 1e+30, not a time in s"),
         ("time,pan\n1,1\n2,2\n", "as numbers of frames have"),
-        ("time,pan,pan\n0.1,1,2\n", "two columns of one name"),
+        ("time,pan,pan\n0.1,1,2\n", "two columns have one name"),
         ("time,pan\n0.1,\0\n", "csv of times without numbers"),
         ("\0\0\0\0", "Empty CSV"),
         ("time,image\n0.1,../secret.png\n", "leads out of the recording's folder"),

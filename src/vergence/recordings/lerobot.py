@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -62,29 +62,28 @@ def _channels(root: Path, info: dict, index: int, stack: ExitStack) -> Iterator[
     chunk = index // info.get("chunks_size", 1000)
     known: dict[str, Any] = {"episode_index": index, "episode_chunk": chunk}
     for meta in sorted(root.glob("meta/episodes/*/*.parquet")):  # since version 3
-        known.update(*_rows(series.inside(root, meta.relative_to(root)), index)[0].to_pylist())
-    features = {key: feature["dtype"] for key, feature in info["features"].items()}
-    data = series.inside(root, _filled(info["data_path"], known, "data"))
-    table, rows = _rows(data, index, [key for key, kind in features.items() if kind == "image"])
-    time_s = _matrix(table["timestamp"])[:, 0]
+        table, rows = _rows(root, str(meta.relative_to(root)), index)
+        known.update(*table.take(rows).to_pylist())
+    table, rows = _rows(root, _filled(info["data_path"], known, "data"), index)
+    time_s = _matrix(table["timestamp"].take(rows))[:, 0]
     stamps = nanoseconds(time_s, "s", f"{root}: timestamp")
-    for key, kind in features.items():
+    for key, feature in info["features"].items():
+        kind = feature["dtype"]
         if kind == "video":
             part = f"videos/{key}"
             name = _filled(info["video_path"], {**known, "video_key": key}, part)
-            file = series.inside(root, name)
-            shown_s, frame = stack.enter_context(open_video(file))
+            shown_s, frame = stack.enter_context(open_video(series.inside(root, name)))
             at_s = known.get(f"{part}/from_timestamp", 0.0) + time_s
             nearest = np.searchsorted((shown_s[1:] + shown_s[:-1]) / 2, at_s)
             if np.abs(shown_s[nearest] - at_s).max(initial=0) > 0.5 / info["fps"]:
-                raise VergenceError(f"{file} has no frames at some times of episode {index}.")
+                raise VergenceError(f"{name} has no frames at some times of episode {index}.")
             content = partial(lambda frame, nearest, k: frame(int(nearest[k])), frame, nearest)
             yield Series(key, "images", kind, stamps, content)
         elif kind == "image":
-            yield Series(key, "images", kind, stamps, _images(data, key, rows))
+            yield Series(key, "images", kind, stamps, partial(_image, key, table[key], rows))
         elif key.startswith("observation") and kind.startswith("float"):
-            values = _matrix(table[key])
-            names = _names(key, info["features"][key].get("names"), values.shape[1])
+            values = _matrix(table[key].take(rows))
+            names = _names(key, feature.get("names"), values.shape[1])
             yield Series(key, "joints", kind, stamps, partial(series.readings, names, values))
         else:
             yield series.unused(key, kind)
@@ -96,17 +95,16 @@ def _filled(template: str, known: Mapping[str, Any], part: str) -> str:
     return _FIELD.sub(lambda field: str(values[field[1]]).zfill(int(field[2] or 0)), template)
 
 
-def _rows(file: Path, index: int, pictures: Collection[str] = ()) -> tuple[Any, np.ndarray]:
-    """Read the rows of an episode in a parquet file without images, and where they are."""
+def _rows(root: Path, name: str, index: int) -> tuple[Any, np.ndarray]:
+    """Read a parquet file, and find the rows of an episode in it."""
+    file = series.inside(root, name)
     about = parquet.read_metadata(file)
     groups = [about.row_group(k) for k in range(about.num_row_groups)]
     numbers = sum(g.column(k).num_values for g in groups for k in range(about.num_columns))
-    if max(8 * numbers, *(group.total_byte_size for group in groups), 0) > MAX_BYTES:
+    if max(8 * numbers, sum(group.total_byte_size for group in groups)) > MAX_BYTES:
         raise VergenceError(f"{file} takes more than {MAX_BYTES:,} bytes when it is unpacked.")
-    names = [name for name in about.schema.to_arrow_schema().names if name not in pictures]
-    table = parquet.read_table(file, columns=names, use_threads=False)
-    rows = np.flatnonzero(table["episode_index"].to_numpy() == index)
-    return table.take(rows), rows
+    table = parquet.read_table(file, use_threads=False)
+    return table, np.flatnonzero(table["episode_index"].to_numpy() == index)
 
 
 def _matrix(column: Any) -> np.ndarray:
@@ -123,24 +121,9 @@ def _names(key: str, names: Any, count: int) -> tuple[str, ...]:
     return names if len(set(names)) == count else tuple(f"{key}/{k}" for k in range(count))
 
 
-def _images(file: Path, key: str, rows: np.ndarray) -> Callable[[int], Content]:
-    """Make a function that reads images in a column of parquet, a group of rows at a time."""
-    about = parquet.read_metadata(file)
-    ends = np.cumsum([about.row_group(k).num_rows for k in range(about.num_row_groups)])
-
-    @lru_cache(1)
-    def group(number: int) -> Any:
-        with parquet.ParquetFile(file) as opened:
-            return opened.read_row_group(number, columns=[key], use_threads=False).column(0)
-
-    def read(k: int) -> Content:
-        number = int(np.searchsorted(ends, rows[k], side="right"))
-        try:
-            image = decode_image(group(number)[rows[k] - ends[number]].as_py()["bytes"])
-        except Exception:  # of pyarrow
-            image = None
-        if image is None:
-            raise VergenceError(f"{file}: {key} of row {rows[k]} {UNREADABLE}.")
-        return image
-
-    return read
+def _image(key: str, cells: Any, rows: np.ndarray, k: int) -> Content:
+    cell = cells[int(rows[k])].as_py()
+    image = decode_image((isinstance(cell, dict) and cell.get("bytes")) or b"")
+    if image is None:
+        raise VergenceError(f"{key} of row {rows[k]} {UNREADABLE}.")
+    return image

@@ -30,11 +30,17 @@ def nanoseconds(values: np.ndarray, unit: str, where: str) -> np.ndarray:
     return whole.astype(np.int64) * factor + np.rint((values - whole) * factor).astype(np.int64)
 
 
-def recognise_unit(values: np.ndarray, name: str, where: str) -> str:
-    """Find the unit of stamps (N,): by the last word of their name, or by their size and steps.
+def read_stamps(values: np.ndarray, name: str, where: str) -> tuple[str, np.ndarray]:
+    """Convert stamps (N,) to nanoseconds, and tell the unit that they have.
 
-    VergenceError if they may as well be the numbers of frames.
+    It is the last word of their name, or follows from their size and steps. VergenceError if they
+    are impossible, or may as well be the numbers of frames.
     """
+    unit = _unit(values, name, where)
+    return unit, nanoseconds(values, unit, f"{where}: {name}")
+
+
+def _unit(values: np.ndarray, name: str, where: str) -> str:
     if match := _UNIT.search(name.lower()):
         prefix = match[1] or ""
         return {"micro": "us"}.get(prefix, prefix[:1] + "s")

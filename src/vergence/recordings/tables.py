@@ -12,7 +12,6 @@ import posixpath
 import re
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path, PurePosixPath
 
@@ -26,7 +25,7 @@ from vergence.files import read_bytes
 from vergence.recordings import series
 from vergence.recordings.recording import Recording
 from vergence.recordings.series import Series
-from vergence.recordings.stamps import nanoseconds, recognise_unit
+from vergence.recordings.stamps import read_stamps
 from vergence.recordings.video import VIDEO_SUFFIXES, open_video
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".ppm", ".pgm", ".bmp", ".tif", ".tiff", ".webp")
@@ -35,24 +34,13 @@ MAX_TABLE_BYTES, MAX_CELLS = 2**28, 30_000_000
 _TIME = re.compile(r"time|stamp|(^|[^a-z])(ts?|secs?|seconds|[mun]s)([^a-z]|$)")
 _STAMPS = r"([/_.-]?(time|stamp|frame)\w*)?"
 """What may follow the name of images in the name of a csv of their stamps."""
-_NUMBER = re.compile(r"\s*[+-]?\d+\.?\d*(e[+-]?\d+)?\s*", re.IGNORECASE)
+_NUMBER = re.compile(r"[+-]?\d*\.?\d+(e[+-]?\d+)?", re.IGNORECASE)
 _LAST_NUMBER = re.compile(r"(\d{1,30}(?:\.\d{1,30})?)\D*$")
 
 
-@dataclass(frozen=True, eq=False)
-class _Table:
-    """A csv of N rows with C columns of numbers."""
-
-    unit: str
-    """Of its times, as it was recognised."""
-    stamp_ns: np.ndarray
-    """(N,)"""
-    names: tuple[str, ...]
-    """(C,)"""
-    values: Array
-    """(N, C), NaN where a cell is empty."""
-    files: dict[str, list[str | None]]
-    """By column names of image files (N,)."""
+_Table = tuple[str, np.ndarray, dict[str, Array], dict[str, list[str | None]]]
+"""Of N rows: the unit of the times as it was recognised, stamps (N,) [ns], and by column numbers
+(N,), NaN for empty cells, and names of image files."""
 
 
 def recognise(path: Path) -> bool:
@@ -86,27 +74,22 @@ def _channels(root: Path, files: Iterable[Path], stack: ExitStack) -> Iterator[S
             images[name] = [str(file)]
         elif suffix in IMAGE_SUFFIXES:
             images.setdefault(file.parent.as_posix(), []).append(file.as_posix())
-    for name, table in tables.items():
-        for column, cells in table.files.items():
+    for name, (unit, stamps, _, listed) in tables.items():
+        for column, cells in listed.items():
             rows = np.flatnonzero([cell is not None for cell in cells])
-            listed = _listed(root, name, [str(cells[row]) for row in rows])
-            for folder in {posixpath.dirname(file) or "." for file in listed}:
+            shown = _paths(root, name, [str(cells[row]) for row in rows])
+            for folder in {posixpath.dirname(file) or "." for file in shown}:
                 images.pop(folder, None)
-            content = partial(series.read_image, root, listed)
-            type_name = f"csv of files, times in {table.unit}"
-            yield Series(f"{name}/{column}", "images", type_name, table.stamp_ns[rows], content)
+            content = partial(series.read_image, root, shown)
+            yield Series(f"{name}/{column}", "images", f"times in {unit}", stamps[rows], content)
     for name, shown in images.items():
         of_name = re.compile(re.escape(name) + _STAMPS)
-        own = next((n for n in tables if of_name.fullmatch(n) and not tables[n].files), None)
-        is_video = Path(shown[0]).suffix.lower() in VIDEO_SUFFIXES
+        own = next((n for n in tables if of_name.fullmatch(n) and not tables[n][3]), None)
+        is_video = shown[0].lower().endswith(VIDEO_SUFFIXES)
         try:
-            if own is not None:
-                table = tables.pop(own)
-                unit, stamps = table.unit, table.stamp_ns
-            elif is_video:
+            if own is None and is_video:
                 raise VergenceError(f"a csv of its stamps is missing, such as {name}.csv")
-            else:
-                unit, stamps = _stamps_in(shown)
+            unit, stamps = tables.pop(own)[:2] if own else _stamps_in(shown)
         except VergenceError as error:
             yield series.unused(name, f"without stamps: {error}")
             continue
@@ -117,20 +100,20 @@ def _channels(root: Path, files: Iterable[Path], stack: ExitStack) -> Iterator[S
         if len(stamps) != count:
             raise VergenceError(f"{root / name} has {count} images, but {len(stamps)} stamps.")
         yield Series(name, "images", f"times in {unit}", stamps, content)
-    for name, table in tables.items():
-        if table.names and len(table.values):
-            content = partial(series.readings, table.names, table.values)
-            yield Series(name, "joints", f"csv, times in {table.unit}", table.stamp_ns, content)
-        elif not table.files:
+    for name, (unit, stamps, numbers, listed) in tables.items():
+        if numbers and len(stamps):
+            values = np.array([*numbers.values()], float).T
+            content = partial(series.readings, tuple(numbers), values)
+            yield Series(name, "joints", f"csv, times in {unit}", stamps, content)
+        elif not listed:
             yield series.unused(name, "a csv of times without numbers")
 
 
-def _listed(root: Path, name: str, files: list[str]) -> list[str]:
-    """Find the paths of files that a csv names: in its folder, or in one of its own name."""
-    files = [file.replace("\\", "/") for file in files]
+def _paths(root: Path, name: str, files: list[str]) -> list[str]:
+    """Find the files that a csv names, in its folder or, as for data.csv, in one of its name."""
     own = bool(files) and os.path.isfile(root / name / files[0])
     base = name if own else posixpath.dirname(name)
-    return [posixpath.normpath(posixpath.join(base, file)) for file in files]
+    return [posixpath.normpath(posixpath.join(base, file.replace("\\", "/"))) for file in files]
 
 
 def _stamps_in(files: list[str]) -> tuple[str, np.ndarray]:
@@ -138,9 +121,7 @@ def _stamps_in(files: list[str]) -> tuple[str, np.ndarray]:
     found = [_LAST_NUMBER.search(PurePosixPath(file).stem) for file in files]
     texts = [match[1] if match else "nan" for match in found]
     values = np.array([int(text) if text.isdecimal() else float(text) for text in texts])
-    where = PurePosixPath(files[0]).parent.as_posix()
-    unit = recognise_unit(values, "the number in the names of images", where)
-    return unit, nanoseconds(values, unit, where)
+    return read_stamps(values, "the number in names of images", posixpath.dirname(files[0]))
 
 
 def _read(file: Path) -> _Table | None:
@@ -153,6 +134,8 @@ def _read(file: Path) -> _Table | None:
     delimiter = max(b",;\t", key=header.count)
     if content.count(b"\n") * (header.count(delimiter) + 1) > MAX_CELLS:
         raise VergenceError(f"{file} is too large: at most {MAX_CELLS:,} cells are read.")
+    numbers: dict[str, Array] = {}
+    files: dict[str, list[str | None]] = {}
     try:
         table = csv.read_csv(
             pyarrow.py_buffer(content),
@@ -161,29 +144,21 @@ def _read(file: Path) -> _Table | None:
             convert_options=csv.ConvertOptions(strings_can_be_null=True),
         )
         titles = [title.strip(" \t#%") for title in table.column_names]
+        if len(set(titles)) < len(titles):
+            raise ValueError("two columns have one name")
+        for name, column in zip(titles, table.columns, strict=True):
+            if types.is_integer(column.type) or types.is_floating(column.type):
+                numbers[name] = column.to_numpy()
+            elif types.is_string(column.type):
+                cells = column.to_pylist()
+                if any((cell or "").lower().endswith(IMAGE_SUFFIXES) for cell in cells):
+                    files[name] = cells
+                elif any(_NUMBER.fullmatch(cell or "") for cell in cells):
+                    column.cast(pyarrow.float64())  # names the text among them
     except (pyarrow.ArrowException, ValueError) as error:
         raise VergenceError(f"{file} cannot be read as a csv: {explain(error)}.") from error
-    numbers: dict[str, Array] = {}
-    files: dict[str, list[str | None]] = {}
-    if len(set(titles)) < len(titles):
-        raise VergenceError(f"{file} has two columns of one name.")
-    for name, column in zip(titles, table.columns, strict=True):
-        if types.is_integer(column.type) or types.is_floating(column.type):
-            numbers[name] = column.to_numpy()
-        elif types.is_string(column.type):
-            cells = column.to_pylist()
-            if any((cell or "").lower().endswith(IMAGE_SUFFIXES) for cell in cells):
-                files[name] = cells
-            elif any(_NUMBER.fullmatch(cell or "") for cell in cells):
-                text = next((c for c in cells if c and not _NUMBER.fullmatch(c)), cells[0])
-                where = f"row {cells.index(text) + 1} of column {name}"
-                raise VergenceError(f"{file} has {text!r:.60} among numbers, in {where}.")
-    times = [name for name in numbers if _TIME.search(name.lower())]
+    times = {name: numbers.pop(name) for name in [*numbers] if _TIME.search(name.lower())}
     if not times:
         return None
-    time = next((name for name in times if "stamp" in name.lower()), times[0])
-    unit = recognise_unit(numbers[time], time, str(file))
-    stamps = nanoseconds(numbers[time], unit, f"{file}: {time}")
-    names = tuple(name for name in numbers if name not in times)
-    values = np.array([numbers[name] for name in names], float).reshape(-1, len(stamps)).T
-    return _Table(unit, stamps, names, values, files)
+    time = next((name for name in times if "stamp" in name.lower()), next(iter(times)))
+    return *read_stamps(times[time], time, str(file)), numbers, files
