@@ -156,5 +156,4 @@ def _about(views: PreparedViews, head: HeadCalibration) -> list[Finding]:
         *([] if poses else plausibility.implausible_geometry(head)),
         *excitation.stretched_board(*views.at_rest, views.intrinsics, moving=moving),
         *excitation.doubtful_focal_lengths(views.T_cam_target, head, focal_std),
-        *excitation.contradicted_lenses(head, views.observations.known_lenses),
     ]

@@ -20,7 +20,6 @@ from vergence.calibration.undetermined import ADVISED, spread
 from vergence.errors import VergenceError, counted
 from vergence.findings import Finding, void, warning
 from vergence.geometry.board import corner_points
-from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import EYES, eye_joint_angles
 from vergence.geometry.se3 import known_poses, rotvec
@@ -31,8 +30,6 @@ ONE_ANGLE_RAD = 0.1
 one angle."""
 FOCAL_PART = 0.004
 """Relative standard deviation of a focal length from which a warning is given."""
-CONTRADICTED = 3.0
-"""Change of a known focal length [stated standard deviations] that is reported."""
 STRETCH_VIEWS, STRETCH_SIGNIFICANT = 6, 4.0
 """Minimum number of views per camera needed to estimate scatter, and significance threshold [sigma]
 of a stretched board, for many views."""
@@ -114,23 +111,6 @@ def doubtful_focal_lengths(
                 f"{SLANT}."
             )
             findings.append(warning("boards-at-one-angle", sentence, name))
-    return findings
-
-
-def contradicted_lenses(
-    head: HeadCalibration, known_lenses: Mapping[str, tuple[Camera, float]]
-) -> list[Finding]:
-    """Warn of known lenses that a calibration has changed by more than what was stated of them."""
-    findings = []
-    for name, (lens, percent) in known_lenses.items():
-        found = head.cameras[name].intrinsics.matrix[0, 0]
-        changed = 100 * abs(found / lens.matrix[0, 0] - 1)
-        if changed > CONTRADICTED * percent > 0:
-            sentence = (
-                f"{name}.fx is {found:.1f} px by the images, {changed:.1f} % off its known lens, "
-                f"stated to {percent:g} %: check that it is the lens of these images."
-            )
-            findings.append(warning("known-lens", sentence, name))
     return findings
 
 

@@ -210,7 +210,7 @@ def placements(neck: Sequence[str], neck_angles: Array, table: Table) -> np.ndar
 
 
 def read_stream(folder: Path, description: Description) -> JointStream | None:
-    """Read the eyes' readings at their own rate, joints.csv; None: there are none."""
+    """Read the eyes' readings at their own rate, joints.csv, if there are any."""
     path, names = folder / STREAM, description.head_kinematics.readings
     if description.eye_motion != "pan-tilt" or not path.exists():
         return None

@@ -191,18 +191,9 @@ class RelativeMotion:
 
 
 def camera_motion(head: HeadCalibration, camera: str, joints: Array) -> CameraMotion:
-    """Compute the pose of a camera of a head, and its derivatives.
-
-    At readings (r,) [rad], or measured poses (2, 4, 4) of the eyes, whose 12 increments then count
-    as readings.
-    """
+    """Compute the pose of a camera of a head at readings (r,) [rad], and its derivatives."""
     mounted = head.camera(camera)
-    if measured(joints):
-        motion = eye_motions(head, joints)[EYES.index(mounted.eye)]
-        T_base_eye, by_errors = motion.T_base_eye, motion.by_errors(motion.by_moves)
-        by_readings = motion.by_readings(motion.by_moves)
-    else:
-        T_base_eye, by_errors, by_readings = eye_linearised(head.kinematics, mounted.eye, joints)
+    T_base_eye, by_errors, by_readings = eye_linearised(head.kinematics, mounted.eye, joints)
     R, arm = T_base_eye[:3, :3], T_base_eye[:3, :3] @ mounted.T_eye_cam[:3, 3]
     of_eye = np.concatenate([by_errors, by_readings], axis=1)
     of_eye[3:] -= hat(arm) @ of_eye[:3]  # it turns the camera about the eye's origin

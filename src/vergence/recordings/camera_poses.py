@@ -15,7 +15,7 @@ from vergence.data.dataset import Dataset, check_readings_match, readings_at_ima
 from vergence.data.dataset import time_offset as offset_of
 from vergence.data.description import Description
 from vergence.geometry.camera import check_image_fits
-from vergence.geometry.eye_motion import camera_motion, measured
+from vergence.geometry.eye_motion import camera_motion, eye_poses, measured
 from vergence.geometry.head import (
     HeadCalibration,
     base_pose,
@@ -26,10 +26,11 @@ from vergence.geometry.head import (
 )
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.parameters import named_columns
+from vergence.geometry.projection import camera_pose
 from vergence.geometry.se3 import POSE, hat
 from vergence.progress import Progress, silent
+from vergence.recordings import pose_tracks
 from vergence.recordings.moments import readings_at
-from vergence.recordings.pose_tracks import eye_poses
 from vergence.recordings.recording_map import RecordingMap
 from vergence.recordings.scan import Scan
 
@@ -46,13 +47,14 @@ class CameraPoses:
     stamp_ns: np.ndarray
     """(N,) of int: time stamps of the images [ns]."""
     readings: Array
-    """(N, r) [rad] as used, in the order of head.kinematics.readings, NaN for those that do not
-    move the camera; (N, 2, 4, 4) where poses of the eyes were measured."""
+    """(N, r) [rad] as used, in the order of head.kinematics.readings; (N, 2, 4, 4) where poses of
+    the eyes were measured."""
     T_head_cam: Array
     """(N, 4, 4)."""
     std: Array
     """(N, 2) root mean square of the errors of rotation [rad] and position [m], by the covariance
-    of the calibration and the noise of the readings; NaN where the head does not state them."""
+    of the calibration and the noise of the readings; NaN where the head does not state them, and
+    for measured poses."""
     left_out: int
     """Images without readings at their moments."""
 
@@ -94,7 +96,9 @@ def recording_poses(
         stamp_ns = scanned.images[source.images].stamp_ns
         at_ns = stamp_ns + round(head.time_offset_s * 1e9)
         if mapped.poses:
-            joints = eye_poses(scanned.poses, mapped.poses, at_ns, max_gap_s=mapped.max_gap_s)
+            joints = pose_tracks.eye_poses(
+                scanned.poses, mapped.poses, at_ns, max_gap_s=mapped.max_gap_s
+            )
         else:
             read = readings_at(scanned, mapped, description, at_ns)
             joints = np.array([read[each] for each in names]).reshape(len(names), len(at_ns)).T
@@ -130,40 +134,32 @@ def _poses(
 
     At readings (M, r), or poses (M, 2, 4, 4) of the eyes; NaN where not known.
     """
-    eye = head.camera(camera).eye
-    moves = np.zeros(joints.shape[1], bool)  # the camera: one of two eyes, or some of the readings
-    moves[EYES.index(eye) if measured(joints) else head.kinematics.used(eye)] = True
-    known = np.isfinite(joints[:, moves]).all(axis=tuple(range(1, joints.ndim)))
-    own, others = (moves[:, None, None], np.eye(4)) if measured(joints) else (moves, 0.0)
-    joints = np.where(own, joints, others)[known]
-    T_head_cam, std = np.empty((len(joints), 4, 4)), np.empty((len(joints), 2))
-    for k, each in enumerate(joints):
-        T_head_cam[k], std[k] = _pose_and_deviations(head, camera, each)
-        progress(f"computing poses of {camera}", k + 1, len(joints))
+    mounted = head.camera(camera)
+    known = np.isfinite(joints).all(axis=tuple(range(1, joints.ndim)))
+    joints = joints[known]
+    T_base_eye = eye_poses(head, joints)[:, EYES.index(mounted.eye)]
+    T_lbase_cam = camera_pose(mounted, head.T_rbase_lbase, T_base_eye)
+    std = np.full((len(joints), 2), np.nan)
+    if states_covariance(head) and not measured(joints):
+        for k, readings in enumerate(joints):
+            std[k] = _deviations(head, camera, readings)
+            progress(f"poses of {camera}", k + 1, len(joints))
     image, index, stamp_ns = (each[known] for each in taken)
+    T_head_cam = base_pose(head, "left") @ T_lbase_cam
     left_out = int((~known).sum())
-    used = np.where(own, joints, np.nan)
-    return CameraPoses(camera, image, index, stamp_ns, used, T_head_cam, std, left_out)
+    return CameraPoses(camera, image, index, stamp_ns, joints, T_head_cam, std, left_out)
 
 
-def _pose_and_deviations(head: HeadCalibration, camera: str, joints: Array) -> tuple[Array, Array]:
-    """Compute T_head_cam (4, 4), and the deviations (2,) of its rotation [rad] and position [m].
-
-    At readings (r,), or poses (2, 4, 4) of the eyes.
-    """
-    motion, stated_std = camera_motion(head, camera, joints), np.full(2, np.nan)
-    T_head_cam = base_pose(head, "left") @ motion.T_lbase_cam
-    if head.accuracy is not None and states_covariance(head):
-        by_parameters = motion.by_parameters.copy()
-        # The origin of frame head is half way to the right eye, at R^T t / 2 of T_rbase_lbase.
-        R_T, t = head.T_rbase_lbase[:3, :3].T, head.T_rbase_lbase[:3, 3]
-        between = named_columns(head, [f"T_rbase_lbase.{name}" for name in POSE])
-        by_parameters[3:, between] += np.concatenate([-R_T @ hat(t), R_T], axis=1) / 2
-        stated, covariance = stated_covariance(head, parameter_names(head))
-        J, noise = by_parameters[:, stated], reading_stds(head)
-        if measured(joints):
-            noise = np.tile(np.repeat(head.accuracy.joint_std, 3), 2)
-        variances = np.einsum("ij,jk,ik->i", J, covariance, J)
-        variances += ((motion.by_readings * noise) ** 2).sum(axis=1)
-        stated_std = np.sqrt(variances.reshape(2, 3).sum(axis=1))
-    return T_head_cam, stated_std
+def _deviations(head: HeadCalibration, camera: str, readings: Array) -> Array:
+    """Compute the deviations (2,) of a camera's rotation [rad] and position [m] in frame head."""
+    motion = camera_motion(head, camera, readings)
+    by_parameters = motion.by_parameters.copy()
+    # The origin of frame head is half way to the right eye, at R^T t / 2 of T_rbase_lbase.
+    R_T, t = head.T_rbase_lbase[:3, :3].T, head.T_rbase_lbase[:3, 3]
+    between = named_columns(head, [f"T_rbase_lbase.{name}" for name in POSE])
+    by_parameters[3:, between] += np.concatenate([-R_T @ hat(t), R_T], axis=1) / 2
+    stated, covariance = stated_covariance(head, parameter_names(head))
+    J = by_parameters[:, stated]
+    variances = np.einsum("ij,jk,ik->i", J, covariance, J)
+    variances += ((motion.by_readings * reading_stds(head)) ** 2).sum(axis=1)
+    return np.sqrt(variances.reshape(2, 3).sum(axis=1))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from itertools import islice
 
 import numpy as np
@@ -28,15 +28,16 @@ def needed_frames(recording: Recording, sources: Mapping[Side, PoseSource]) -> s
 
     VergenceError if the recording does not connect them.
     """
-    parents, found = pose_frames(recording), set()
+    parents, found = pose_frames(recording), set[Edge]()
     for source in sources.values():
-        path = _path(parents, source.base, source.eye)
-        if path is None:
+        base, eye = _branches(parents, source)
+        top_of_base = base[-1][0] if base else source.base
+        if top_of_base != (eye[-1][0] if eye else source.eye):
             raise VergenceError(
                 f"{recording.path} does not connect the frames {source.base} and {source.eye}, "
                 f"which the map names; it has {', '.join(sorted({*parents, *parents.values()}))}."
             )
-        found |= {edge for edge, _ in path}
+        found |= {*base, *eye}
     return found
 
 
@@ -52,23 +53,17 @@ def pose_frames(recording: Recording) -> dict[str, str]:
     return parents
 
 
-def _path(edges: Mapping[str, str], base: str, eye: str) -> list[tuple[Edge, bool]] | None:
-    """List the edges from one frame to another, with whether each leads to its child."""
-    up, down = _ancestors(edges, base), _ancestors(edges, eye)
-    meeting = next((frame for frame in up if frame in down), None)
-    if meeting is None:
-        return None
-    before = [((edges[frame], frame), False) for frame in up[: up.index(meeting)]]
-    after = [((edges[frame], frame), True) for frame in down[: down.index(meeting)]]
-    return [*before, *reversed(after)]
-
-
-def _ancestors(edges: Mapping[str, str], frame: str) -> list[str]:
-    """List a frame and those above it, each once."""
-    found = [frame]
-    while (above := edges.get(found[-1])) is not None and above not in found:
-        found.append(above)
-    return found
+def _branches(parents: Mapping[str, str], source: PoseSource) -> tuple[list[Edge], list[Edge]]:
+    """List the edges above the base and above the eye, up to where they meet."""
+    chains = []
+    for frame in (source.base, source.eye):
+        edges = list[Edge]()
+        while frame in parents and (parents[frame], frame) not in edges:
+            edges.append((parents[frame], frame))
+            frame = parents[frame]
+        chains.append(edges)
+    base, eye = chains
+    return [each for each in base if each not in eye], [each for each in eye if each not in base]
 
 
 def eye_poses(
@@ -82,14 +77,16 @@ def eye_poses(
 
     The identity stands for an eye without a source of its poses.
     """
-    edges = {child: parent for parent, child in tracks}
+    parents = {child: parent for parent, child in tracks}
     found = np.tile(np.eye(4), (len(at_ns), len(EYES), 1, 1))
     for eye, source in sources.items():
-        path: Iterable[tuple[Edge, bool]] = _path(edges, source.base, source.eye) or ()
-        for edge, forward in path:
-            T = _interpolate(tracks[edge], at_ns, max_gap_s=max_gap_s)
-            k = EYES.index(eye)
-            found[:, k] = found[:, k] @ (T if forward else inverse(T))
+        T_top_base, T_top_eye = np.eye(4), np.eye(4)
+        base, above_eye = _branches(parents, source)
+        for edge in base:
+            T_top_base = _interpolate(tracks[edge], at_ns, max_gap_s=max_gap_s) @ T_top_base
+        for edge in above_eye:
+            T_top_eye = _interpolate(tracks[edge], at_ns, max_gap_s=max_gap_s) @ T_top_eye
+        found[:, EYES.index(eye)] = inverse(T_top_base) @ T_top_eye
     return found
 
 
