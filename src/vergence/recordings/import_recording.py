@@ -25,7 +25,7 @@ from vergence.recordings.formats import open_recording
 from vergence.recordings.frame_choice import ChosenFrames, choose_frames
 from vergence.recordings.joint_streams import write_stream
 from vergence.recordings.mapped_scan import on_the_clock, read_images, scan_mapped
-from vergence.recordings.moments import STILL, Moments, check_stamps, find_moments
+from vergence.recordings.moments import Moments, check_stamps, find_moments
 from vergence.recordings.recording_map import RecordingMap
 from vergence.vision.board_detection import detect_board
 
@@ -119,22 +119,11 @@ def _without_readings(moments: Moments, mapped: RecordingMap) -> tuple[Finding, 
 
 
 def _all_frames(moments: Moments) -> ChosenFrames:
-    """Choose the moments with readings and images of all cameras; in motion if the eyes move.
-
-    In motion, those with too few neighbours in sequence are left out.
-    """
-    whole = moments.known & np.all([rows >= 0 for rows in moments.images.values()], axis=0)
-    rows = np.flatnonzero(whole)
-    if not len(rows):
-        raise VergenceError(
-            "The cameras of the map have no images of one moment: their stamps are of other times."
-        )
-    posture = moments.eye_angles if moments.T_base_eye is None else moments.T_base_eye
-    moving = bool(np.ptp(posture[rows], axis=0).max(initial=0.0) > STILL)
+    """Choose all moments with readings, in motion where enough of them follow each other."""
+    rows = np.flatnonzero(moments.known)
     late = np.diff(moments.time_ns[rows], prepend=moments.time_ns[rows[0]]) > MAX_GAP_S * 1e9
     run = np.cumsum(late)
-    rows = rows[(np.bincount(run)[run] >= LEAST_MOVING) | (not moving)]
-    return ChosenFrames(rows, np.full(len(rows), moving))
+    return ChosenFrames(rows, np.bincount(run)[run] >= LEAST_MOVING)
 
 
 def _corners(
