@@ -27,6 +27,7 @@ from vergence.accuracy.motions import eye_angles
 from vergence.geometry.camera import normalise, project
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_named
+from vergence.paper.figures import Lens
 from vergence.self_calibration.filter import update
 from vergence.self_calibration.frame import estimate_frame, estimate_from_matches
 from vergence.self_calibration.kalman import predict
@@ -34,8 +35,8 @@ from vergence.self_calibration.prior import initial_state
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import paper_calibration
 from vergence.twin.head import Twin
-from vergence.twin.model import nominal_head
-from vergence.twin.profile import Lens, load_profile
+from vergence.twin.head_model import nominal_head
+from vergence.twin.profile import load_profile
 from vergence.twin.simulated_robot import LOOK_STEP_S, look_around
 
 NOISE_PX, JOINT_DEG, POINTS, DURATION_S = 0.08, 0.15, 500, 60.0

@@ -27,9 +27,9 @@ from scipy.stats import kurtosis
 from vergence.accuracy.budget import Source, budget
 from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
-from vergence.geometry.head import WIDE, HeadCalibration, load_head, save_head
+from vergence.geometry.head import HeadCalibration, load_head, save_head
 from vergence.geometry.parameters import boxminus
-from vergence.paper.figures import FIGURES, Figure, default_duration_s
+from vergence.paper.figures import FIGURES, WIDE, Figure, default_duration_s
 from vergence.paper.replay import describe, replay
 from vergence.stereo.triangulation import triangulate_at
 from vergence.stereo.uncertainty import locate

@@ -37,7 +37,7 @@ from vergence.self_calibration.state import FilterState
 from vergence.stereo.extrinsics import relative_camera_pose
 from vergence.stereo.triangulation import triangulate_at
 from vergence.twin.calibration_errors import inject_calibration_error
-from vergence.twin.calibration_sequence import paper_calibration, straight_neck
+from vergence.twin.calibration_sequence import paper_calibration
 from vergence.twin.head import Twin
 from vergence.twin.profile import load_profile
 from vergence.twin.sensors import with_sensors
@@ -142,7 +142,7 @@ def taken(twin: Twin, head: HeadCalibration, figure: int, samples: int) -> list[
     twin.place_object(np.array(shown.mean_m))
 
     def command(time_s: float) -> Array:
-        return straight_neck(eye_angles(shown.motion, np.array(time_s - 1)))
+        return twin.posture(eye_angles(shown.motion, np.array(time_s - 1)))
 
     twin.advance(0.5, command(1.0))
     gains = np.array([j.gain for eye in ("left", "right") for j in truth.kinematics.eyes[eye]])

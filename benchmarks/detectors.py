@@ -19,12 +19,11 @@ import numpy as np
 import tyro
 
 from cards import Card, marker_card
-from other_heads import shared_tilt, tilt_before_pan
 from vergence.demos.experiment import p95
 from vergence.demos.foveate import run_trial, targets
 from vergence.gaze.state import GazeSettings
-from vergence.geometry.kinematics import Kinematics
 from vergence.twin.head import Twin
+from vergence.twin.head_model import HeadModel
 from vergence.twin.profile import load_profile
 from vergence.twin.simulated_robot import calibrate_twin, unoccluded
 from vergence.vision.detector import Detector
@@ -64,34 +63,37 @@ def wide_alone(settings: GazeSettings) -> GazeSettings:
     return replace(settings, calibration=replace(head, cameras=wide))
 
 
-KINDS: dict[str, tuple[Card | None, Detector, bool, Kinematics | None]] = {
-    "four cameras, sphere": (None, sphere_detector(), False, None),
-    "tilt before pan, sphere": (None, sphere_detector(), False, tilt_before_pan()),
-    "shared tilt before pan, sphere": (None, sphere_detector(), False, shared_tilt()),
-    "wide alone, sphere": (None, sphere_detector(), True, None),
+KINDS: dict[str, tuple[Card | None, Detector, bool]] = {
+    "four cameras, sphere": (None, sphere_detector(), False),
+    "wide alone, sphere": (None, sphere_detector(), True),
     "wide alone, marker": (
         marker_card(DICTIONARY, MARKER, CARD_M),
         marker_detector(DICTIONARY, MARKER),
         True,
-        None,
     ),
-    "wide alone, template": (Card(picture(), CARD_M), picture_detector(), True, None),
+    "wide alone, template": (Card(picture(), CARD_M), picture_detector(), True),
 }
-"""By name: the card that is shown, None for the sphere; its detector; whether the head has wide
-cameras only; and its joints, None for pan, then tilt."""
+"""By name: the card that is shown, None for the sphere; its detector; and whether the head has wide
+cameras only."""
 
 
 def final_errors(
-    kind: str, *, trials: int, profile: str, seed: int, calibration: GazeSettings | None = None
+    kind: str,
+    *,
+    trials: int,
+    profile: str,
+    seed: int,
+    calibration: GazeSettings | None = None,
+    head: HeadModel | None = None,
 ) -> tuple[list[float], int]:
     """Return the final errors [px] of trials, and how many lost the object.
 
-    Settings with a calibration may be given; None: the twin is calibrated.
+    Settings with a calibration may be given; None: the twin is calibrated. The head is the default
+    one, or another.
     """
-    card, detect, alone, joints = KINDS[kind]
-    with Twin(
-        load_profile(profile), seed=seed, furnish=card and card.put, kinematics=joints
-    ) as twin:
+    card, detect, alone = KINDS[kind]
+    furnish = card and card.put
+    with Twin(load_profile(profile), seed=seed, furnish=furnish, head=head) as twin:
         settings = calibrate_twin(twin, seed) if calibration is None else calibration
         settings = replace(settings, objects={"object": detect})
         settings = wide_alone(settings) if alone else settings

@@ -22,12 +22,13 @@ from simulated_twin import observe_points, simulate_views
 from vergence.arrays import Array
 from vergence.calibration.initial import calibrate_sequentially
 from vergence.geometry.head import HeadCalibration
-from vergence.paper.figures import FIGURES, default_duration_s
+from vergence.paper.figures import FIGURES, Lens, default_duration_s
 from vergence.paper.replay import SAMPLES, estimate, sample_times
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import Shot, plan
-from vergence.twin.model import FOCAL_MM, as_built_head, nominal_head
-from vergence.twin.profile import ByHand, ErrorProfile, Joints, Lens, load_profile
+from vergence.twin.head_model import nominal_head
+from vergence.twin.model import as_built_head
+from vergence.twin.profile import ByHand, ErrorProfile, Joints, load_profile
 
 NAMES = (
     "mounting.baseline_mm",
@@ -100,7 +101,8 @@ def main(steps: int = 6) -> None:
     Args:
         steps: of Gauss-Newton at most.
     """
-    plans: Plans = {lens: (head := nominal_head(lens), plan(head, 0)) for lens in FOCAL_MM}
+    lenses = "2.8mm", "4.0mm"
+    plans: Plans = {lens: (head := nominal_head(lens), plan(head, 0)) for lens in lenses}
     found = least_squares(
         residuals, START, x_scale=SCALE, diff_step=0.03, max_nfev=steps, args=(plans, SEEDS)
     )

@@ -26,13 +26,13 @@ import tyro
 from board_sessions import Session, mistakes, random_session
 from vergence.data.description import DatasetJoint
 from vergence.data.reader import load_dataset
-from vergence.geometry.head import WIDE
 from vergence.geometry.kinematics import EYE_JOINTS
+from vergence.paper.figures import WIDE
 from vergence.recordings.bag import message, write_bag
 from vergence.recordings.import_recording import import_recording
 from vergence.recordings.recording import JointSample, Message
 from vergence.recordings.recording_map import CameraSource, RecordingMap
-from vergence.twin.calibration_sequence import BOARD, Shot, straight_neck, visible
+from vergence.twin.calibration_sequence import BOARD, Shot, visible
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile, load_profile
 
@@ -79,12 +79,12 @@ def profile_of(rng: np.random.Generator) -> ErrorProfile:
 
 def messages(twin: Twin, session: Session, rate_hz: float) -> Iterator[Message]:
     """Carry out a session, and yield images and readings in order of time."""
-    twin.settle(straight_neck(session.joints))
+    twin.settle(twin.posture(session.joints))
     begin = twin.time_s
     events = [(t, True) for t in np.arange(0, session.end_s, 1 / rate_hz)]
     events += [(t, False) for t in np.arange(0.003, session.end_s, 1 / 97)]
     for t, image in sorted(events):
-        twin.advance(begin + t, lambda now: straight_neck(session.joints_at(now - begin)))
+        twin.advance(begin + t, lambda now: twin.posture(session.joints_at(now - begin)))
         stamp = BEGIN_NS + round(t * 1e9)
         if not image:
             readings = twin.expose(()).frame.eye_angles

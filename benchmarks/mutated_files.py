@@ -47,7 +47,8 @@ from vergence.recordings.recording import FramePose, JointSample
 from vergence.recordings.scan import scan
 from vergence.stereo.triangulation import triangulate_at
 from vergence.twin.evaluation import Truth, evaluate, load_truth
-from vergence.twin.model import as_built_head, nominal_head
+from vergence.twin.head_model import nominal_head
+from vergence.twin.model import as_built_head
 from vergence.twin.profile import ErrorProfile, load_profile
 
 EXPORTS: dict[ExportFormat, str] = {

@@ -18,9 +18,8 @@ import tyro
 
 from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
-from vergence.geometry.head import WIDE
 from vergence.geometry.kinematics import EYE_JOINTS
-from vergence.paper.figures import FIGURES, default_duration_s
+from vergence.paper.figures import FIGURES, WIDE, default_duration_s
 from vergence.paper.replay import SAMPLES, sample_times
 from vergence.paper.reproduce import SAMPLES_WITH_IMAGES, record_replay
 from vergence.twin.head import Twin

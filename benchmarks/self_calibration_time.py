@@ -25,7 +25,7 @@ from vergence.self_calibration.kalman import predict
 from vergence.self_calibration.prior import initial_state
 from vergence.stereo.extrinsics import relative_camera_pose
 from vergence.twin.calibration_errors import inject_calibration_error
-from vergence.twin.calibration_sequence import paper_calibration, straight_neck
+from vergence.twin.calibration_sequence import paper_calibration
 from vergence.twin.head import Twin
 from vergence.twin.profile import load_profile
 from vergence.twin.scene import Scene
@@ -58,7 +58,7 @@ def main(pairs: int = 40, scene: Scene = "room", seed: int = 0) -> None:
         twin.restart(0)
         cameras = [state.head.camera(name).intrinsics for name in state.cameras]
         for k in range(pairs):
-            angles = straight_neck(eye_angles("divergent", np.array(k * STEP_S)))
+            angles = twin.posture(eye_angles("divergent", np.array(k * STEP_S)))
             twin.advance((k + 1) * STEP_S, lambda _, target=angles: target)
             frame = twin.capture(state.cameras)
             images = [frame.images[name] for name in state.cameras]

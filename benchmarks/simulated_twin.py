@@ -9,9 +9,9 @@ import numpy as np
 from vergence.accuracy.motions import PERIOD_S, eye_angles
 from vergence.arrays import Array
 from vergence.calibration.observations import Observations
-from vergence.geometry.head import WIDE, HeadCalibration
+from vergence.geometry.head import HeadCalibration
 from vergence.geometry.projection import project_point
-from vergence.paper.figures import Figure
+from vergence.paper.figures import WIDE, Figure
 from vergence.paper.replay import Measurements
 from vergence.twin.calibration_sequence import BOARD, Shot, observations, project_board
 from vergence.twin.profile import ErrorProfile

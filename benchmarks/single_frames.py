@@ -21,14 +21,15 @@ from vergence.arrays import Array
 from vergence.geometry import se3
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.parameters import change_named
+from vergence.paper.figures import Lens
 from vergence.self_calibration.frame import estimate_frame, estimate_from_matches
 from vergence.self_calibration.prior import initial_state
 from vergence.self_calibration.state import FilterState, FrameEstimate
 from vergence.stereo.extrinsics import relative_camera_pose
 from vergence.twin.calibration_errors import inject_calibration_error
-from vergence.twin.calibration_sequence import paper_calibration, straight_neck
+from vergence.twin.calibration_sequence import paper_calibration
 from vergence.twin.head import Twin
-from vergence.twin.profile import Lens, load_profile
+from vergence.twin.profile import load_profile
 
 PAIRS = 7
 POSTURE_S, STEP_S = 2.3, 1.7
@@ -72,7 +73,7 @@ def distances(twin: Twin, states: list[FilterState]) -> np.ndarray:
     for motion in ("parallel", "divergent"):
         for k in range(PAIRS):
             time_s += STEP_S
-            posture = straight_neck(eye_angles(motion, np.array(1.0 + k * POSTURE_S)))
+            posture = twin.posture(eye_angles(motion, np.array(1.0 + k * POSTURE_S)))
             twin.advance(time_s, lambda _, posture=posture: posture)
             frame = twin.capture(cameras)
             T_true = relative_camera_pose(twin.truth, twin.true_angles()[3:], cameras=cameras)

@@ -143,21 +143,19 @@ def of_scenes() -> None:
     from vergence.accuracy.motions import eye_angles
     from vergence.stereo.dense_depth import dense_depth
     from vergence.stereo.rectification import rectified_image, rectify
-    from vergence.twin.calibration_sequence import straight_neck
     from vergence.twin.head import Twin
     from vergence.twin.profile import load_profile
 
-    posture = straight_neck(eye_angles("divergent", np.array(18.0)))
     cameras = ("left_wide", "right_wide")
     seen = []
     for scene in SCENES:
         with Twin(load_profile("paper"), scene=scene) as twin:
             twin.place_object(np.array([0.43, -0.02, -0.08]))
-            twin.advance(0.5, straight_neck(np.zeros(4)))
+            twin.advance(0.5, twin.posture(np.zeros(4)))
             seen.append(twin.capture(("left_wide",)).images["left_wide"])
             if scene != "room":
                 continue
-            twin.advance(1.0, posture)
+            twin.advance(1.0, twin.posture(eye_angles("divergent", np.array(18.0))))
             images, angles = twin.capture(cameras).images, twin.true_angles()[3:]
             pair = rectify(twin.truth, angles)
             left, right = (images[name] for name in cameras)

@@ -25,11 +25,11 @@ from vergence.cli.terminal import plain_ending
 from vergence.errors import check_seed
 from vergence.files import markdown_table, read_parsed, results_folder, write_whole
 from vergence.geometry.camera import pinhole
-from vergence.geometry.head import R_EYE_CAM, WIDE, HeadCalibration, MountedCamera
+from vergence.geometry.head import R_EYE_CAM, HeadCalibration, MountedCamera
 from vergence.geometry.kinematics import EYES, straight_gaze
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import pose, rotation
-from vergence.paper.figures import FIGURES, Figure
+from vergence.paper.figures import FIGURES, WIDE, Figure
 from vergence.progress import Progress, silent
 from vergence.stereo.extrinsics import rebase, relative_camera_pose
 from vergence.stereo.triangulation import Status

@@ -166,11 +166,6 @@ TILTS = other_head("shared tilt, pan", np.random.default_rng(0))
         ),
         (
             stated(TILTS),
-            {"motion": "divergent"},
-            r"'divergent' is of the readings .* has tilt, left_pan, right_pan\. .* dataset",
-        ),
-        (
-            stated(TILTS),
             {"motion": "set"},
             r"is for the joint readings tilt, left_pan, right_pan; .*set has left_pan, left_tilt",
         ),
@@ -249,9 +244,6 @@ def test_the_table_has_parallel_motion_beside_and_no_negative_zeros():
     same = run(HEAD, noise_px=0.2)
     assert [row[4] for row in budget_rows(same, 0)] == [row[1] for row in budget_rows(same, 0)]
     assert budget_report(same).data["in_parallel_motion"] == budget_report(same).data["points"]
-    other = MotionBudgets("data", same.budgets, None)  # as of a head with other readings
-    assert [row[4] for row in budget_rows(other, 0)] == ["", ""]
-    assert budget_report(other).data["in_parallel_motion"] is None
 
 
 def test_a_real_heads_budget_writes_a_table_json_and_a_figure_without_the_twin(tmp_path):

@@ -24,7 +24,7 @@ from vergence.self_calibration.frame import estimate_from_matches
 from vergence.self_calibration.kalman import predict
 from vergence.self_calibration.prior import DRIFT, UNCALIBRATED, tolerance_covariance
 from vergence.self_calibration.state import FilterState
-from vergence.twin.model import nominal_head
+from vergence.twin.head_model import nominal_head
 
 
 @pytest.mark.slow

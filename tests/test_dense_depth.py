@@ -26,12 +26,14 @@ from vergence.geometry.head_accuracy import Accuracy
 from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics
 from vergence.geometry.parameters import change_named
 from vergence.geometry.se3 import inverse, pose, transform
+from vergence.paper.figures import Lens
 from vergence.stereo.dense_depth import LEAST_STD_PX, dense_depth, point_cloud
 from vergence.stereo.rectification import RectifiedPair, rectify
 from vergence.twin import simulated_robot
 from vergence.twin.calibration_errors import inject_calibration_error
-from vergence.twin.model import as_built_head, check_calibration_of, nominal_head
-from vergence.twin.profile import Lens, load_profile
+from vergence.twin.head_model import nominal_head
+from vergence.twin.model import as_built_head, check_calibration_of
+from vergence.twin.profile import load_profile
 from without_mujoco import without_mujoco
 
 HEAD = four_cameras()

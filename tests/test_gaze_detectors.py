@@ -7,21 +7,21 @@ import numpy as np
 import pytest
 
 from cards import Card, marker_card
+from described_heads import described_head
 from detectors import CARD_M, DICTIONARY, KINDS, MARKER, final_errors, picture
 from vergence.gaze.state import GazeSettings
-from vergence.geometry.kinematics import Kinematics
 from vergence.geometry.projection import project_point
 from vergence.twin.head import Twin
-from vergence.twin.model import as_built_head, nominal_head
+from vergence.twin.head_model import HeadModel, load_head_model
+from vergence.twin.model import as_built_head
 from vergence.twin.profile import load_profile
-from vergence.twin.simulated_robot import twin_limits
 from vergence.vision.marker import marker_detector
 
 
-def true_settings(profile: str, joints: Kinematics | None = None) -> GazeSettings:
-    truth = as_built_head(nominal_head("2.8mm", joints), load_profile(profile), 0)
-    limits = twin_limits(truth.kinematics)
-    return GazeSettings(calibration=truth, limits=limits, reading_std=2.6e-3)
+def true_settings(profile: str, head: HeadModel | None = None) -> GazeSettings:
+    head = load_head_model() if head is None else head
+    truth = as_built_head(head.designed.head, load_profile(profile), 0)
+    return GazeSettings(calibration=truth, limits=head.limits, reading_std=2.6e-3)
 
 
 @pytest.mark.render
@@ -37,10 +37,13 @@ def test_a_head_with_wide_cameras_alone_centres_what_it_is_told_to_look_at(kind:
 
 @pytest.mark.render
 @pytest.mark.usefixtures("coarse_images")
-def test_eyes_that_tilt_before_they_pan_centre_an_object():
-    kind = "tilt before pan, sphere"
-    settings = true_settings("paper", KINDS[kind][3])
-    found, lost = final_errors(kind, trials=2, profile="paper", seed=0, calibration=settings)
+def test_eyes_that_tilt_before_they_pan_centre_an_object(tmp_path):
+    head = described_head("tilt before pan", tmp_path)
+    settings = true_settings("paper", head)
+    kind = "four cameras, sphere"
+    found, lost = final_errors(
+        kind, trials=2, profile="paper", seed=0, calibration=settings, head=head
+    )
     assert lost == 0
     assert max(found) < 8
 

@@ -6,6 +6,7 @@
 import itertools
 import runpy
 from pathlib import Path
+from typing import get_args
 
 import cv2
 import mujoco
@@ -13,8 +14,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from vergence.twin.head_model import load_head_model
+from vergence.twin.model import compile_head
+from vergence.twin.renderer import overscan_sizes
+from vergence.twin.scene import Scene
+
 MODELS = Path(__file__).parents[1] / "models"
-MODEL = MODELS / "cbi_head"
+MODEL, ROOM = MODELS / "cbi_head", MODELS / "room"
 JOINT_RANGE_DEG = {
     "neck_pitch": (-30, 40),
     "neck_roll": (-30, 30),
@@ -46,13 +52,13 @@ def redness(image: NDArray) -> NDArray[np.float64]:
     return red - (green + blue) / 2.0
 
 
-SCENES = ("scene.xml", "scene_sparse.xml", "scene_moving.xml")
+SCENES = get_args(Scene)
 
 
 @pytest.mark.parametrize(
     "file",
     [
-        *("cbi_head/cbi_head.xml", "cbi_head/scene_moving.xml"),
+        *("cbi_head/cbi_head.xml", "cbi_head/scene.xml"),
         *("shared_tilt_head/shared_tilt_head.xml", "shared_tilt_head/scene.xml"),
     ],
 )
@@ -105,8 +111,10 @@ def test_object_is_red_and_shaded_and_nothing_else_is_as_red(model, data, camera
 
 @pytest.mark.render
 @pytest.mark.parametrize("scene", SCENES)
-def test_no_view_of_a_scene_is_red_or_blue_and_scenes_differ_in_texture(scene: str):
-    model = mujoco.MjModel.from_xml_path(str(MODEL / scene))
+def test_no_view_of_a_scene_is_red_or_blue_and_scenes_differ_in_texture(scene: Scene):
+    head = load_head_model()
+    truth = head.designed.head
+    model = compile_head(head, truth, overscan_sizes(truth), scene=scene)
     data = mujoco.MjData(model)
     data.mocap_pos[:, 2] = np.where(np.arange(model.nmocap) < 5, -10.0, 1.2)  # not what passes
     seen = []
@@ -146,10 +154,10 @@ def test_eyes_are_fast_follow_closely_and_do_not_overshoot(model, data, joint: s
 
 
 def test_textures_and_meshes_are_made_by_their_scripts():
-    made = runpy.run_path(str(MODEL / "assets/make_textures.py"))["textures"]()
-    assert set(made) == {path.name for path in (MODEL / "assets").glob("*.png")}
+    made = runpy.run_path(str(ROOM / "assets/make_textures.py"))["textures"]()
+    assert set(made) == {path.name for path in (ROOM / "assets").glob("*.png")}
     for name, image in made.items():
-        stored = cv2.imread(str(MODEL / "assets" / name), cv2.IMREAD_UNCHANGED)
+        stored = cv2.imread(str(ROOM / "assets" / name), cv2.IMREAD_UNCHANGED)
         rgb = stored[..., ::-1] if stored.ndim == 3 else stored
         np.testing.assert_array_equal(rgb, image, err_msg=name)
     meshes = runpy.run_path(str(MODEL / "assets/make_meshes.py"))

@@ -13,10 +13,9 @@ from vergence.geometry.kinematics import EYES
 from vergence.geometry.se3 import pose
 from vergence.twin.designed_head import DesignedHead, designed_head
 from vergence.twin.head_checks import disagreement
-from vergence.twin.head_file import HeadFile, load_head_file
+from vergence.twin.head_file import HeadFile
 from vergence.twin.head_guess import completed
 from vergence.twin.head_lens import lens_of
-from vergence.twin.model import nominal_head
 from vergence.twin.model_file import load_model
 from vergence.twin.model_readings import model_readings
 
@@ -46,28 +45,6 @@ def mjcf(world: str, more: str = "") -> str:
 
 def two_eyes(turn: str = "") -> str:
     return EYE.format("left", 0.03, "") + EYE.format("right", -0.03, turn)
-
-
-def test_the_default_head_is_read_from_its_model_to_the_last_digit():
-    stated, path = load_head_file()
-    model = load_model(path).compile()
-    stated = completed(stated, model)
-    lenses = {name: lens_of(stated, path.parent, name, model) for name in stated.cameras}
-    found, nominal = designed_head(model, stated, lenses), nominal_head("2.8mm")
-    assert list(found.head.cameras) == list(nominal.cameras)
-    for name, camera in nominal.cameras.items():
-        assert np.array_equal(found.head.cameras[name].T_eye_cam, camera.T_eye_cam)
-    assert np.array_equal(found.head.T_rbase_lbase, nominal.T_rbase_lbase)
-    assert np.array_equal(found.T_base_head, np.eye(4))
-    for part in ("axes", "points_m", "head_m"):
-        assert np.array_equal(getattr(found.head.neck, part), getattr(nominal.neck, part))
-    assert found.head.kinematics.readings == nominal.kinematics.readings
-    for eye in EYES:
-        joints = found.head.kinematics.eyes[eye], nominal.kinematics.eyes[eye]
-        for ours, theirs in zip(*joints, strict=True):
-            assert (ours.name, ours.readings) == (theirs.name, theirs.readings)
-            assert np.array_equal(ours.axis, theirs.axis)
-            assert np.array_equal(ours.point_m, theirs.point_m)
 
 
 def test_version_and_vergence_are_the_readings_of_eyes_that_share_a_tilt():

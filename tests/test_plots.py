@@ -9,7 +9,7 @@ from vergence.paper import plots
 from vergence.paper.figures import FIGURES, default_duration_s
 from vergence.paper.plots import draw_figures
 from vergence.paper.replay import Replay, estimate
-from vergence.twin.model import nominal_head
+from vergence.twin.head_model import nominal_head
 from vergence.twin.profile import ErrorProfile, Joints
 from vergence.viewer.plots.accuracy import draw_foveation
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from described_heads import described_head
 from vergence.calibration.detection import detect_target
 from vergence.calibration.observations import Observations
 from vergence.data.dataset import Dataset
@@ -14,12 +15,11 @@ from vergence.data.reader import load_dataset
 from vergence.data.timing import moved_readings
 from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
-from vergence.geometry.kinematics import EYES, Kinematics, eye_pose
+from vergence.geometry.kinematics import Kinematics, eye_pose
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import transform
 from vergence.twin.calibration_sequence import BOARD
 from vergence.twin.evaluation import Truth, load_truth
-from vergence.twin.model import nominal_head
 from vergence.twin.profile import (
     CalibrationProcedure,
     ErrorProfile,
@@ -59,49 +59,24 @@ def recorded(
     return dataset, detect_target(dataset), load_truth(out / "truth.json")
 
 
-def eyes_with(joints: dict[str, dict[str, float]]) -> dict[str, Any]:
-    """Return the joints of both eyes, by name their readings, as a file states them."""
-    eye = [{"name": n, "axis": n, "readings": readings} for n, readings in joints.items()]
-    names = {name for readings in joints.values() for name in readings}
-    readings = {name: {"unit": "deg", "sign": -1} for name in sorted(names)}
-    return {"kinematics": {"left": eye, "right": eye}, "readings": readings}
-
-
 @pytest.mark.usefixtures("coarse_images")
 @pytest.mark.render
-def test_a_head_with_other_joints_is_recorded(tmp_path):
-    joints = {"pan": {"yaw": 1.0}, "tilt": {"nod": 0.5, "lean": 0.5}, "roll": {"roll": 1.0}}
-    (tmp_path / "joints.json").write_text(json.dumps(eyes_with(joints)))
-    record(
-        tmp_path / "out", profile=PROFILE, frames=12, moving=3, kinematics=tmp_path / "joints.json"
-    )
+@pytest.mark.parametrize("kind", ["shared tilt", "with roll", "pair on a neck", "one eye"])
+def test_a_head_with_other_joints_is_recorded_within_its_limits(tmp_path, kind):
+    head = described_head(kind, tmp_path)
+    record(tmp_path / "out", profile=PROFILE, frames=12, moving=3, head=head)
     dataset = load_dataset(tmp_path / "out")
     truth = load_truth(tmp_path / "out" / "truth.json")
-    assert truth.head.kinematics.readings == ("lean", "nod", "roll", "yaw")
+    perfect = head.designed.head
+    assert dataset.description.head_kinematics.readings == perfect.kinematics.readings
     assert np.ptp(dataset.eye_angles[~dataset.moving], axis=0).min() > 0.01  # all were moved
-    kinematics = truth.head.kinematics
+    lower, upper = head.limits.range_rad[len(head.designed.neck) :].T
+    assert ((truth.eye_angles >= lower) & (truth.eye_angles <= upper)).all()
     still = ~dataset.moving
-    for eye in EYES:  # through the gains and offsets of the sensors, readings are true angles
-        read = eye_pose(kinematics, eye, dataset.eye_angles[still])
-        perfect = nominal_head("2.8mm", dataset.description.head_kinematics).kinematics
-        true = eye_pose(perfect, eye, truth.eye_angles[still])
+    for eye in head.designed.eyes:  # by the gains and offsets of the sensors, readings are true
+        read = eye_pose(truth.head.kinematics, eye, dataset.eye_angles[still])
+        true = eye_pose(perfect.kinematics, eye, truth.eye_angles[still])
         np.testing.assert_allclose(read, true, atol=0.004)
-
-
-@pytest.mark.parametrize(
-    ("joints", "missing", "said"),
-    [
-        ({"pan": {"yaw": 1.0}, "tilt": {"nod": 1.0}}, "yaw", r"readings\.yaw is missing"),
-        ({"pan": {"yaw": 1.0}}, "", "2 joints or more, the left one was given 1"),
-    ],
-)
-def test_joints_that_the_twin_cannot_have_are_refused(tmp_path, joints, missing, said):
-    stated = eyes_with(joints)
-    stated["readings"].pop(missing, None)
-    (tmp_path / "joints.json").write_text(json.dumps(stated))
-    with pytest.raises(VergenceError, match=said):
-        record(tmp_path / "no", profile=PROFILE, kinematics=tmp_path / "joints.json")
-    assert not (tmp_path / "no").exists()
 
 
 def test_corners_lie_where_the_truth_says(recorded):

@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import cv2
+import mujoco
 import numpy as np
 import pytest
 import rerun as rr
@@ -21,8 +22,10 @@ from vergence.paper.figures import FIGURES
 from vergence.paper.recording import figure_recording, log_results
 from vergence.paper.replay import Measurements, Replay
 from vergence.twin.appearance import VisualGeom, visual_geoms
-from vergence.twin.model import nominal_head
-from vergence.twin.scene import load_spec, model_folder
+from vergence.twin.head_file import models_folder
+from vergence.twin.head_model import load_head_model, nominal_head
+from vergence.twin.model import compile_head
+from vergence.twin.renderer import overscan_sizes
 from vergence.viewer.recording import log_frame, log_report
 from vergence.viewer.shapes import lines_of_sight
 
@@ -42,7 +45,12 @@ def head() -> HeadCalibration:
 
 @pytest.fixture(scope="module")
 def geoms() -> list[VisualGeom]:
-    return visual_geoms(load_spec().compile())
+    return visual_geoms(default_model())
+
+
+def default_model() -> mujoco.MjModel:
+    head = load_head_model()
+    return compile_head(head, head.designed.head, overscan_sizes(head.designed.head))
 
 
 def estimates() -> np.ndarray:
@@ -200,7 +208,7 @@ def test_a_run_without_estimates_is_recorded_from_another_thread(tmp_path: Path,
 
 
 def test_the_head_and_the_board_are_drawn_as_the_model_has_them(geoms: list[VisualGeom]):
-    model = load_spec().compile()
+    model = default_model()
     drawn = {geom.body for geom in geoms}
     assert drawn >= {"head", "left_eye", "right_eye", "left_pan", "right_pan", "object", "board"}
     collision_or_room = (model.geom_group == 3) | (model.geom_bodyid == 0)
@@ -208,7 +216,7 @@ def test_the_head_and_the_board_are_drawn_as_the_model_has_them(geoms: list[Visu
     shell = next(geom for geom in geoms if geom.body == "head" and geom.triangles is not None)
     assert shell.triangles is not None
     corners = transform(shell.T_body_geom, shell.triangles.reshape(-1, 3))
-    lines = (model_folder() / "assets" / "shell.obj").read_text().splitlines()
+    lines = (models_folder() / "cbi_head" / "assets" / "shell.obj").read_text().splitlines()
     vertices = np.array([line.split()[1:] for line in lines if line.startswith("v ")], float)
     for bound in (np.min, np.max):
         np.testing.assert_allclose(bound(corners, axis=0), bound(vertices, axis=0), atol=2e-5)

@@ -10,7 +10,7 @@ from vergence.calibration.observations import Observations
 from vergence.geometry.head import HeadCalibration
 from vergence.twin.calibration_sequence import Shot, capture_views, plan
 from vergence.twin.head import Twin
-from vergence.twin.model import nominal_head
+from vergence.twin.head_model import nominal_head
 from vergence.twin.profile import ErrorProfile, Mounting, Optics
 from vergence.twin.renderer import FINE
 

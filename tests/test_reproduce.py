@@ -17,14 +17,15 @@ from vergence.calibration.initial import calibrate_sequentially
 from vergence.files import UNFINISHED
 from vergence.geometry.head import load_head
 from vergence.paper import reproduce as main_job
-from vergence.paper.figures import FIGURES
+from vergence.paper.figures import FIGURES, Lens
 from vergence.paper.replay import describe, estimate, sample_times
 from vergence.paper.reproduce import ReproductionSettings, reproduce
 from vergence.twin import simulated_robot
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import Shot, plan
-from vergence.twin.model import FOCAL_MM, as_built_head, nominal_head
-from vergence.twin.profile import Lens, load_profile
+from vergence.twin.head_model import nominal_head
+from vergence.twin.model import as_built_head
+from vergence.twin.profile import load_profile
 
 PAPER_STD = np.array([figure.std_m for figure in FIGURES.values()])
 
@@ -41,7 +42,7 @@ def point_level(profile_name: str, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """
     profile = load_profile(profile_name)
     std, error = [], []
-    for lens in FOCAL_MM:
+    for lens in ("2.8mm", "4.0mm"):
         truth = as_built_head(nominal_head(lens), profile, seed)
         rng = np.random.default_rng(seed)
         views = simulate_views(truth, profile, planned(lens, seed), pixel_noise=0.035, rng=rng)

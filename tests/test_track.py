@@ -18,7 +18,7 @@ from vergence.errors import VergenceError
 from vergence.gaze.controller import run_gaze
 from vergence.gaze.state import GazeSettings, initial_gaze_state
 from vergence.twin.head import Twin
-from vergence.twin.model import nominal_head
+from vergence.twin.head_model import nominal_head
 from vergence.twin.profile import ErrorProfile, load_profile
 from vergence.twin.simulated_robot import FRAME_S, SimulatedHead, foveal_errors
 

@@ -3,29 +3,26 @@
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import fields
-from itertools import chain
 
 import mujoco
 import numpy as np
 import pytest
 
-from other_heads import KINDS
-from postures import NECK_JOINTS
+from described_heads import KINDS, described_head
 from simulated_head import pan_tilt_pose
 from vergence.data.dataset import Frame
-from vergence.geometry.head import HeadCalibration, base_pose_in_body, camera_pose_in_base
-from vergence.geometry.kinematics import Kinematics
-from vergence.geometry.se3 import pose
+from vergence.geometry.head import base_pose, camera_pose_in_base
+from vergence.geometry.neck import head_pose
+from vergence.geometry.se3 import inverse, pose
+from vergence.twin.designed_head import R_MJCAM_CAM
 from vergence.twin.head import Twin
 from vergence.twin.model import (
-    CAMERAS,
-    R_MJCAM_CAM,
     as_built_head,
+    body_in_room,
     body_pose,
     compile_head,
-    hinges,
-    nominal_head,
-)  # fmt: skip
+    shared_joints,
+)
 from vergence.twin.offscreen import Format, Offscreen
 from vergence.twin.profile import Axes, ErrorProfile, Image, Joints, Mounting, Optics
 from vergence.twin.renderer import overscan_sizes
@@ -40,37 +37,39 @@ EVERYTHING = ErrorProfile(
     joints=Joints(noise_deg=0.05, gain_percent=(1, 2, -1, 0), offset_deg=(0.2, 0, 0, -0.3)),
 )
 NOTHING_SEEN: tuple[str, ...] = ()
-NECK = slice(0, 3)
 EYES = slice(3, None)
 
 
-def built(seed: int, joints: Kinematics | None = None) -> HeadCalibration:
-    return as_built_head(nominal_head("2.8mm", joints), EVERYTHING, seed)
-
-
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_truth_has_its_cameras_where_mujoco_has_them(kind: str):
+def test_the_truth_has_its_cameras_where_mujoco_has_them(kind: str, tmp_path):
     """At random angles of all joints, with every imperfection: to 1e-9."""
-    truth = built(0, KINDS[kind]())
-    model = compile_head(truth, overscan_sizes(truth))
-    data = mujoco.MjData(model)
-    rng = np.random.default_rng(0)
+    head = described_head(kind, tmp_path)
+    designed, shared = head.designed, len(shared_joints(head.designed))
+    truth = as_built_head(designed.head, EVERYTHING, 0, shared=shared)
+    model = compile_head(head, truth, overscan_sizes(truth))
+    data, rng, n = mujoco.MjData(model), np.random.default_rng(0), len(designed.neck)
+    places = []
     for _ in range(10):
-        angles = rng.uniform(-0.4, 0.4, len(NECK_JOINTS) + len(truth.kinematics.readings))
-        names = (*NECK_JOINTS, *chain.from_iterable(hinges(truth.kinematics).values()))
-        mixing = [truth.kinematics.chains[eye].mixing for eye in ("left", "right")]
-        turned = [angles[NECK], *(each @ angles[EYES] for each in mixing)]
-        for name, angle in zip(names, np.concatenate(turned), strict=True):
+        angles = rng.uniform(-0.4, 0.4, len(head.limits.joints))
+        for name, angle in zip(designed.neck, angles[:n], strict=True):
             data.joint(name).qpos = angle
+        for eye, names in designed.eyes.items():
+            turned = truth.kinematics.chains[eye].mixing @ angles[n:]
+            for name, angle in zip(names, turned, strict=True):
+                data.joint(name).qpos = angle
         mujoco.mj_kinematics(model, data)
         mujoco.mj_camlight(model, data)
-        for name in CAMERAS:
-            eye = truth.cameras[name].eye
-            T = body_pose(data, "body") @ base_pose_in_body(truth, eye, angles[NECK])
-            T = T @ camera_pose_in_base(truth, name, angles[EYES]) @ pose(R_MJCAM_CAM)
+        T_world_head = body_pose(data, body_in_room(model, designed.base)) @ designed.T_base_head
+        places.append(T_world_head @ inverse(head_pose(truth.neck, angles[:n])))
+        for name, mounted in truth.cameras.items():
+            T = T_world_head @ base_pose(truth, mounted.eye)
+            T = T @ camera_pose_in_base(truth, name, angles[n:]) @ pose(R_MJCAM_CAM)
             camera = data.camera(name)
             np.testing.assert_allclose(T[:3, 3], camera.xpos, atol=1e-9)
             np.testing.assert_allclose(T[:3, :3], camera.xmat.reshape(3, 3), atol=1e-9)
+    np.testing.assert_allclose(np.ptp(places, axis=0), 0, atol=1e-9)  # frame body stands still
+    straight = places[0] @ head_pose(truth.neck, np.zeros(n))
+    np.testing.assert_allclose(straight, pose(t=[0, 0, 1.2]), atol=1e-6)
 
 
 # Frames

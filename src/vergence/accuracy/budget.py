@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from vergence.accuracy.motions import PERIOD_S, eye_angles
+from vergence.accuracy.motions import PERIOD_S, eye_readings
 from vergence.arrays import Array
 from vergence.data.dataset import check_readings_match
 from vergence.data.reader import load_dataset
@@ -27,7 +27,7 @@ from vergence.geometry.head import (
     stated_covariance,
     states_covariance,
 )
-from vergence.geometry.kinematics import EYE_JOINTS, check_moves
+from vergence.geometry.kinematics import check_moves
 from vergence.geometry.parameters import is_gain, named_columns
 from vergence.geometry.projection import project_point
 from vergence.stereo.linearised import by_head_parameters, linearised, pair_parameters
@@ -228,8 +228,7 @@ class MotionBudgets:
 
     motion: str
     budgets: list[Budget]
-    parallel: list[Budget] | None
-    """None for a head whose readings are not pan and tilt of each eye."""
+    parallel: list[Budget]
 
 
 def stated_sources(head: HeadCalibration, pixel_std_px: float | None) -> list[Source]:
@@ -246,7 +245,7 @@ def motion_budgets(
     """Compute the budgets of points (K, 3) [m] in the left eye's base frame; see `budget`.
 
     The motion is parallel, divergent, or the folder of a dataset. VergenceError also if there is
-    no source, the motion does not exist for this head, or the head was calibrated with measured
+    no source, or the head was calibrated with measured
     poses.
     """
     if head.accuracy is not None and head.accuracy.eye_motion == "poses":
@@ -260,17 +259,11 @@ def motion_budgets(
             "A budget needs sources of errors: give a calibration that states its accuracy, an "
             "error profile (--profile paper), or --noise in pixels."
         )
-    readings = head.kinematics.readings
-    if motion in PERIOD_S and readings != EYE_JOINTS:
-        raise VergenceError(
-            f"The motion {motion!r} is of the readings {', '.join(EYE_JOINTS)}; this head has "
-            f"{', '.join(readings)}. Give the folder of a dataset of this head as --motion."
-        )
     found: dict[str, list[Budget]] = {}
-    for name in (motion, "parallel")[: 2 if readings == EYE_JOINTS else 1]:
+    for name in (motion, "parallel"):
         joints, rates = motion_of(name, head)
         found[name] = budget(head, points, joints=joints, rates=rates, sources=sources)
-    return MotionBudgets(motion, found[motion], found.get("parallel"))
+    return MotionBudgets(motion, found[motion], found["parallel"])
 
 
 def motion_of(name: str, head: HeadCalibration) -> tuple[Array, Array]:
@@ -280,8 +273,8 @@ def motion_of(name: str, head: HeadCalibration) -> tuple[Array, Array]:
     """
     if name in PERIOD_S:
         time_s = np.arange(SAMPLES) * PERIOD_S[name] / SAMPLES
-        turns = eye_angles("parallel" if name == "parallel" else "divergent", time_s)
-        readings = turns / head.kinematics.gear_ratios
+        motion = "parallel" if name == "parallel" else "divergent"
+        readings = eye_readings(head.kinematics, motion, time_s)
         return readings, np.gradient(readings, time_s, axis=0)
     if not os.path.isdir(name):
         raise VergenceError(

@@ -32,7 +32,7 @@ from vergence.arrays import Array
 from vergence.calibration.bundle_adjustment import fixed_by_default
 from vergence.geometry.board import Chessboard, corner_points
 from vergence.geometry.camera import pinhole
-from vergence.geometry.head import R_EYE_CAM, WIDE, HeadCalibration, MountedCamera, parameter_names
+from vergence.geometry.head import R_EYE_CAM, HeadCalibration, MountedCamera, parameter_names
 from vergence.geometry.kinematics import EYES, looking_along, pan_tilt_along
 from vergence.geometry.parameters import named_columns
 from vergence.geometry.projection import project_point
@@ -72,6 +72,10 @@ def reading_std(counts_per_turn: ArrayLike, noise_deg: ArrayLike) -> Array:
     return np.hypot(step / np.sqrt(12), np.radians(noise_deg))  # errors of rounding are uniform
 
 
+CAMERAS = "left_camera", "right_camera"
+"""Names of the cameras of a designed head."""
+
+
 def designed_head(
     baseline_m: float, focal_px: float, camera_ahead_m: float, image_px: tuple[int, int]
 ) -> HeadCalibration:
@@ -80,7 +84,7 @@ def designed_head(
     return HeadCalibration(
         cameras={
             name: MountedCamera(eye, pinhole(*image_px, focal_px), mounted)
-            for eye, name in zip(EYES, WIDE, strict=True)
+            for eye, name in zip(EYES, CAMERAS, strict=True)
         },
         T_rbase_lbase=pose(t=[0.0, baseline_m, 0.0]),
     )
@@ -98,7 +102,7 @@ def standard_recording(head: HeadCalibration, board: Chessboard) -> Views:
     rng = np.random.default_rng(0)
     draw, around = rng.uniform(-1, 1, (STRAIGHT + 1, 6)), rng.uniform(-1, 1, (GAZES, 2))
     draw[-1, 1:3] = 0  # the board at rest stands ahead
-    lens, baseline = head.cameras[WIDE[0]].intrinsics, head.T_rbase_lbase[1, 3]
+    lens, baseline = head.cameras[CAMERAS[0]].intrinsics, head.T_rbase_lbase[1, 3]
     size_px, f = np.array(lens.size), lens.matrix[0, 0]
     corners = corner_points(board)
     radius = np.linalg.norm(np.ptp(corners, axis=0)) / 2
@@ -132,14 +136,14 @@ def sensitivity(
     Points (N, 3) [m] are in the left eye's base frame, and are located at joints (N, 4) [rad].
     `reading_std` (J,) are levels of the noise of readings in the calibration.
     """
-    left, right = (project_point(head, name, joints, points) for name in WIDE)
+    left, right = (project_point(head, name, joints, points) for name in CAMERAS)
     seen = linearised(
-        sightings(head, left=left, right=right, joints=joints, cameras=WIDE, pixel_std_px=1.0)
+        sightings(head, left=left, right=right, joints=joints, cameras=CAMERAS, pixel_std_px=1.0)
     )
     by_readings = seen.by_readings
     fixed = fixed_by_default(head, timed=False)
     names = tuple(name for name in parameter_names(head) if name not in fixed)
-    by_names = point_by_parameters(head, WIDE, points, joints)[..., named_columns(head, names)]
+    by_names = point_by_parameters(head, CAMERAS, points, joints)[..., named_columns(head, names)]
     views = standard_recording(head, board)
     information = view_information(
         head,
@@ -156,7 +160,7 @@ def sensitivity(
         scale = 1 / np.sqrt(np.diag(total))
         L = np.linalg.cholesky(np.linalg.inv(total * np.outer(scale, scale)))
         calibration.append(VIEWS * ((by_names @ (scale[:, None] * L)) ** 2).sum(axis=(1, 2)))
-    middle = head.cameras[WIDE[0]].intrinsics.matrix[:2, 2]
+    middle = head.cameras[CAMERAS[0]].intrinsics.matrix[:2, 2]
     return Sensitivity(
         pixel=(seen.by_pixels**2).sum(axis=(1, 2)),
         joint=(by_readings**2).sum(axis=(1, 2)),

@@ -23,7 +23,9 @@ from vergence.geometry.board import corner_points
 from vergence.geometry.camera import project
 from vergence.geometry.head import (
     HeadCalibration,
+    lenses_of,
     main_pair,
+    narrow_camera,
     parameter_names,
     states_covariance,
 )
@@ -139,10 +141,9 @@ def held_out(
     transferred: set[int] = set()
     for k, part in enumerate(parts):
         head = part.head
-        main, narrow = main_pair(head), ("left_narrow", "right_narrow")
-        pairs = [] if main is None else [main]
-        if set(narrow) <= set(head.cameras) and main != narrow:
-            pairs.append(narrow)
+        main = main_pair(head)
+        narrow = tuple(narrow_camera(lenses_of(head, eye)) for eye in EYES) if main else None
+        pairs = [pair for pair in dict.fromkeys([main, narrow]) if pair is not None]
         for pair in pairs:
             errors = _transferred(part, observations, number == k, pair)
             pixels += errors.values()

@@ -154,7 +154,7 @@ def _mounted(
     The main camera is placed by hand-eye calibration, the others relative to it. Where eyes stand
     still, it looks straight ahead from the eye's origin, by definition.
     """
-    main = main_camera(cameras, eye)
+    main = main_camera(cameras)
     rows = most_seen(observations.placement, known_poses(T_cam_target[main]))
     if not len(rows):
         raise VergenceError(f"The board was never found in the images of {main}.")

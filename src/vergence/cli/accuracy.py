@@ -23,6 +23,7 @@ def plan(
         Optional[tuple[int, int, float]], tyro.conf.arg(metavar="COLUMNS ROWS SQUARE_M")
     ] = None,
     limits_deg: tuple[float, ...] = (20.0,),
+    head: Optional[Path] = None,
     distances: tuple[float, ...] = (0.3, 0.6, 1.0),
     seed: int = 0,
     figure: Optional[Path] = None,
@@ -37,6 +38,7 @@ def plan(
             dataset's.
         limits_deg: To either side, one number for all: how far each reading may turn its joint; or
             the largest value of each reading (usually left pan, left tilt, right pan, right tilt).
+        head: A head.toml, whose limits of the joints take the place of --limits-deg.
         distances: Distances of the points that are to be accurate, from the middle of the head [m].
         seed: Seed of the candidates, which are random.
         figure: PNG file of the board's places and of the accuracy after each view.
@@ -51,10 +53,16 @@ def plan(
 
     check_outputs(json, figure=figure, inputs=[source])
     limits_rad = np.radians(limits_deg[0] if len(limits_deg) == 1 else limits_deg)
+    if head is not None:
+        from vergence.twin.head_model import load_head_model
+
+        of = load_head_model(head)
+        readings = of.limits.setpoint_range_rad[len(of.designed.neck) :]
+        limits_rad = np.abs(readings).min(axis=1)
     with progress_bars() as progress:
-        head, shown = head_and_board(source, board, limits_rad, progress)
+        calibrated, shown = head_and_board(source, board, limits_rad, progress)
         found = plan_views(
-            head,
+            calibrated,
             shown,
             views=views,
             limits_rad=limits_rad,
@@ -123,6 +131,7 @@ def design(
 def budget(
     *,
     calibration: Optional[Path] = None,
+    head: Optional[Path] = None,
     profile: Optional[str] = None,
     at: Points = (),
     motion: str = "divergent",
@@ -134,7 +143,9 @@ def budget(
 
     Args:
         calibration: JSON file of a head, whose stated accuracy counts; default: the twin as
-            designed, with its 2.8 mm lenses.
+            designed.
+        head: The twin's head, a head.toml as `vergence head` writes it; default: the one of this
+            project.
         profile: Error profile of the twin: ideal, paper, noise-only, or a TOML file.
         at: Position of a point [m] from the left eye, x forward, y left, z up; may be repeated.
             Default: 0.5 m and 1 m ahead.
@@ -149,23 +160,23 @@ def budget(
     from vergence.accuracy.budget import motion_budgets, stated_sources
     from vergence.cli.accuracy_reports import budget_report
 
-    check_outputs(json, figure=figure, inputs=[motion, calibration, profile])
+    check_outputs(json, figure=figure, inputs=[motion, calibration, head, profile])
     points = np.array(at or ((0.5, -0.04, 0.0), (1.0, -0.04, 0.0)))
     # The twin needs OpenGL, and a real head does not.
     if calibration is None:
-        from vergence.twin.model import nominal_head
+        from vergence.twin.head_model import load_head_model
 
-        head = nominal_head("2.8mm")
+        calibrated = load_head_model(head).designed.head
     else:
-        head = vg.load_head(calibration)
+        calibrated = vg.load_head(calibration)
     if profile is None:
-        sources = stated_sources(head, noise)
+        sources = stated_sources(calibrated, noise)
     else:
         from vergence.twin.calibration_errors import profile_sources
         from vergence.twin.profile import load_profile
 
-        sources = profile_sources(head, load_profile(profile), noise)
-    found = motion_budgets(head, points, motion=motion, sources=sources)
+        sources = profile_sources(calibrated, load_profile(profile), noise)
+    found = motion_budgets(calibrated, points, motion=motion, sources=sources)
     report = budget_report(found)
     report.write_json(json)
     if figure is not None:

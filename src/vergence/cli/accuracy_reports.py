@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -159,7 +158,7 @@ def budget_report(found: MotionBudgets) -> Report:
     data = {
         "motion": found.motion,
         "points": list(map(_plain, found.budgets)),
-        "in_parallel_motion": found.parallel and list(map(_plain, found.parallel)),
+        "in_parallel_motion": list(map(_plain, found.parallel)),
     }
     return Report("Error budget", parts, data)
 
@@ -173,15 +172,15 @@ def budget_rows(found: MotionBudgets, k: int) -> list[tuple[str, ...]]:
     def sources(budgets: list[Budget]) -> list[Part]:
         return [*budgets[k].parts, budgets[k].total]
 
-    parallel = sources(found.parallel) if found.parallel else ()
+    parallel = sources(found.parallel)
     return [
         (
             part.name,
             *map(mm, part.spread_m),
-            mm(other.spread_m[0]) if other else "",
+            mm(other.spread_m[0]),
             " ".join(map(mm, part.shared_m)) if part.shared_m.any() else "",
         )
-        for part, other in zip_longest(sources(found.budgets), parallel)
+        for part, other in zip(sources(found.budgets), parallel, strict=True)
     ]
 
 

@@ -66,6 +66,8 @@ def reproduce(
     from vergence.parallel import process_count
     from vergence.twin.profile import load_profile
 
+    if options.head is not None:
+        raise VergenceError("The paper's figures are of the paper's head; leave out --head.")
     settings = ReproductionSettings(
         out,
         figures,
@@ -95,10 +97,9 @@ def record(
     out: Path,
     options: TwinArguments = IDEAL,
     frames: int = 60,
-    lens: Literal["2.8mm", "4.0mm"] = "2.8mm",
+    lens: Optional[str] = None,
     target: Literal["chessboard", "charuco"] = "chessboard",
     moving: int = 0,
-    kinematics: Optional[Path] = None,
     bag: BagArguments = NO_BAG,
 ) -> Report:
     """Record a dataset on the twin, with its ground truth in truth.json.
@@ -107,15 +108,14 @@ def record(
         out: Folder, new or empty.
         options: Options of the twin.
         frames: Number of frames with the eyes at rest, 12 or more.
-        lens: Focal length of the wide cameras.
+        lens: Lens of a head that has several to choose from, such as 4.0mm; default: the first.
         target: Kind of calibration board.
         moving: Number of frames that follow, at 30 Hz, with moving eyes and the board at rest: 0,
             or 3 or more.
-        kinematics: JSON file with the eyes' joints, `kinematics` and `readings` as in dataset.json;
-            default: pan, then tilt.
         bag: Options of a bag.
     """
     from vergence.twin.bag import BagSettings
+    from vergence.twin.head_model import load_head_model
     from vergence.twin.profile import load_profile
     from vergence.twin.record import record as record_dataset
 
@@ -129,10 +129,9 @@ def record(
             scene=options.scene,
             seed=options.seed,
             frames=frames,
-            lens=lens,
+            head=load_head_model(options.head, lens),
             target=target,
             moving=moving,
-            kinematics=kinematics,
             bag=settings,
             progress=progress,
         )
@@ -207,7 +206,7 @@ def depth(
         found = "both" if twin else "neither"
         raise VergenceError(f"Depth is of a dataset or, with --twin, of the twin; found {found}.")
     if options != PAPER and not twin:
-        raise VergenceError("--profile, --scene and --seed are of the twin; found a dataset.")
+        raise VergenceError("Options of the twin are given, and a dataset; choose one of the two.")
     if dataset is not None and calibration is None:
         raise VergenceError(
             "Depth of a dataset needs --calibration FILE, which `vergence calibrate` makes of it."
@@ -229,7 +228,9 @@ def depth(
             from vergence.twin.profile import load_profile
 
             profile = load_profile(options.profile)
-            twin_settings = Experiment(profile, options.seed, options.scene, geometry)
+            twin_settings = Experiment(
+                profile, options.seed, options.scene, geometry, head=options.head
+            )
             source = twin_depth(head, twin_settings, pairs, progress)
         with source as sequence:
             report = write_depth(out, sequence, progress)
@@ -249,8 +250,12 @@ def _experiment(
 
     profile = load_profile(options.profile)
     results = f"{name}.json", f"{name}.rrd", *figures
-    check_outputs(options.json, folder=options.out, names=results, inputs=[options.profile])
-    settings = Experiment(profile, options.seed, options.scene, options.geometry, options.out)
+    check_outputs(
+        options.json, folder=options.out, names=results, inputs=[options.profile, options.head]
+    )
+    settings = Experiment(
+        profile, options.seed, options.scene, options.geometry, options.out, options.head
+    )
     with progress_bars(options.out) as progress:
         found = run(settings, progress)
     report = Report(name, (as_json(found, digits=4).rstrip(),), found)

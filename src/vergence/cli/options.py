@@ -34,6 +34,8 @@ class TwinOptions:
     """Error profile of the twin: ideal, paper, noise-only, or a TOML file."""
     scene: Literal["room", "sparse", "moving"] = "room"
     """What the head looks at."""
+    head: Optional[Path] = None
+    """The head, a head.toml as `vergence head` writes it; default: the one of this project."""
 
 
 @dataclass(frozen=True)

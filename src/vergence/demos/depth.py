@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.demos.experiment import LOOKING, Experiment
@@ -31,10 +30,9 @@ from vergence.self_calibration.dense_pairs import (
 from vergence.stereo.dense_depth import DenseDepth
 from vergence.stereo.extrinsics import relative_camera_pose, stereo_cameras
 from vergence.stereo.rectification import RectifiedPair, rectified_pixels, rectified_points
-from vergence.twin.calibration_sequence import straight_neck
 from vergence.twin.head import Twin
 from vergence.twin.model import check_calibration_of
-from vergence.twin.simulated_robot import calibrate_twin, learn_by_looking
+from vergence.twin.simulated_robot import calibrate_twin, divergent_motion, learn_by_looking
 
 PairErrors = tuple[Array, Array, float]
 """Errors of one pair: see `depth_errors`."""
@@ -130,7 +128,7 @@ def twin_depth(
     Without a calibration the twin is calibrated first, by the paper's method. With the geometry
     "seen" it looks around first. VergenceError if the calibration is of another head.
     """
-    with Twin(experiment.profile, seed=experiment.seed, scene=experiment.scene) as twin:
+    with experiment.twin() as twin:
         reading_std = None
         if calibration is None:
             settings = calibrate_twin(twin, experiment.seed, progress)
@@ -160,10 +158,10 @@ def _pairs(
     visual = None
     if geometry == "seen":
         visual = learn_by_looking(twin, initial_visual_geometry(head), run=LOOKING)
+    motion = divergent_motion(twin)
     twin.restart(1)
     for k in range(pairs):
-        posture = straight_neck(eye_angles("divergent", np.array(STEP_S * k)))
-        twin.advance(twin.time_s + 0.5, posture)
+        twin.advance(twin.time_s + 0.5, motion(STEP_S * k))
         angles = twin.true_readings()
         frame = twin.capture((left, right))
         visual = None if visual is None else update_geometry(visual, frame)

@@ -22,6 +22,7 @@ from vergence.progress import Progress
 from vergence.self_calibration.calibrator import Geometry, VisualGeometry, initial_visual_geometry
 from vergence.twin.appearance import visual_geoms
 from vergence.twin.head import Twin
+from vergence.twin.head_model import load_head_model
 from vergence.twin.profile import ErrorProfile
 from vergence.twin.scene import Scene
 from vergence.twin.simulated_robot import (
@@ -57,9 +58,16 @@ class Experiment:
     from trial to trial."""
     out: Path | None = None
     """Folder for the summary as JSON, and for a recording; None: nothing is written."""
+    head: Path | None = None
+    """The head's head.toml; None: the default head."""
 
     def __post_init__(self) -> None:
         check_seed(self.seed)
+
+    def twin(self) -> Twin:
+        """Build the twin."""
+        head = load_head_model(self.head)
+        return Twin(self.profile, head=head, seed=self.seed, scene=self.scene)
 
 
 def p95(values: Sequence[float] | Array) -> float:
@@ -77,7 +85,7 @@ def calibrated_twin(
     """
     with (
         results_folder(experiment.out),
-        Twin(experiment.profile, seed=experiment.seed, scene=experiment.scene) as twin,
+        experiment.twin() as twin,
     ):
         settings = calibrate_twin(twin, experiment.seed, progress)
         yield twin, replace(settings, geometry=experiment.geometry)

@@ -40,10 +40,9 @@ def ideal_wide_pixel(
     """Eqs. 18-19: project points on the narrow camera's axis to wide pixels (..., 2).
 
     The depths (...) [m] are along the narrow camera's axis and may be infinite. None: the eye's
-    cameras by their default names. Raises VergenceError if a depth is not above 0, or the eye does
-    not have both cameras.
+    cameras by their default roles. Raises VergenceError if a depth is not above 0.
     """
-    names = cameras or EyeCameras(wide=f"{eye}_wide", narrow=f"{eye}_narrow")
+    names = cameras or default_roles(calibration)[eye]
     wide, narrow = calibration.camera(names.wide), calibration.camera(names.narrow)
     depth = np.asarray(depth_m, dtype=float)
     wrong = ~(depth > 0)
@@ -66,7 +65,8 @@ def foveal_miss(
     The point is at the wide pixel of Eqs. 18-19 for the believed depth (...) [m] along the narrow
     camera's axis; its true depth (...) [m] is along the wide camera's axis.
     """
-    wide, narrow = (calibration.camera(f"{eye}_{lens}").intrinsics for lens in ("wide", "narrow"))
+    roles = default_roles(calibration)[eye]
+    wide, narrow = (calibration.camera(name).intrinsics for name in (roles.wide, roles.narrow))
     ray = unproject(wide, ideal_wide_pixel(calibration, eye, believed_m))
     depth = np.broadcast_to(np.asarray(depth_m, dtype=float), ray.shape[:-1])[..., None]
     T = wide_pose_in_narrow(calibration, eye)

@@ -15,7 +15,13 @@ from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.gaze.commands import HeadCommand, JointLimits, hold, posture_joints, usual_limits
 from vergence.gaze.kalman import MotionModel, Track
-from vergence.geometry.head import HeadCalibration, cameras_of, main_camera
+from vergence.geometry.head import (
+    HeadCalibration,
+    cameras_of,
+    lenses_of,
+    main_camera,
+    narrow_camera,
+)
 from vergence.geometry.kinematics import EYES, Side, check_moves
 from vergence.self_calibration.calibrator import Geometry, VisualGeometry, initial_visual_geometry
 from vergence.vision.detector import Detection, Detector, pixel_or_nan
@@ -48,14 +54,12 @@ class EyeCameras:
 def default_roles(calibration: HeadCalibration) -> dict[Side, EyeCameras]:
     """Assign roles to a head's cameras, for each eye that has a camera.
 
-    The wide role goes to the eye's main camera, the narrow role to `<eye>_narrow` if there is one.
+    The wide role goes to the eye's main camera, the narrow role to the one that sees least.
     """
     roles: dict[Side, EyeCameras] = {}
     for eye in EYES:
-        cameras = cameras_of(calibration, eye)
-        if cameras:
-            wide, narrow = main_camera(cameras, eye), f"{eye}_narrow"
-            roles[eye] = EyeCameras(wide=wide, narrow=narrow if narrow in cameras else wide)
+        if lenses := lenses_of(calibration, eye):
+            roles[eye] = EyeCameras(wide=main_camera(lenses), narrow=narrow_camera(lenses))
     return roles
 
 

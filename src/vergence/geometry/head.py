@@ -7,7 +7,7 @@ the left eye's base frame (x forward, y left, z up).
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -38,9 +38,10 @@ R_EYE_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Rotation of a camera that looks straight ahead, and of a board that faces it: z along the eye's
 x."""
 
-WIDE = ("left_wide", "right_wide")
-"""The wide cameras of the paper's head, by which it locates points."""
 _FINITE = ConfigDict(extra="forbid", allow_inf_nan=False)
+AS_WIDE = 0.8
+"""Ratio of two fields of view above which cameras count as equally wide: lenses of one kind differ
+by a few percent."""
 MAX_CAMERAS = 64  # a limit for files of strangers, see docs/security.md
 MAX_TIME_OFFSET_S = 10.0  # a limit for files of strangers
 
@@ -60,8 +61,8 @@ class HeadCalibration:
     """Everything that calibration finds of a head, and nothing that only a twin could know."""
 
     cameras: dict[str, MountedCamera]
-    """By name: left_wide, left_narrow, right_wide, right_narrow (a head may have fewer, or call
-    them otherwise). The paper calls the wide camera peripheral and the narrow one foveal."""
+    """By name. The paper's eyes have a wide camera each, which it calls peripheral, and a narrow
+    one, which it calls foveal."""
     T_rbase_lbase: Transform
     """Pose of the left eye's base frame in the right one's: T_e^rl of the paper (Eq. 10); the
     identity for a head of one eye."""
@@ -202,15 +203,29 @@ def cameras_of(head: HeadCalibration, eye: Side) -> list[str]:
     return [name for name, mounted in head.cameras.items() if mounted.eye == eye]
 
 
-def main_camera(names: Collection[str], eye: Side) -> str:
-    """Select the main one of an eye's cameras (names): the wide one, or else the first."""
-    return f"{eye}_wide" if f"{eye}_wide" in names else next(iter(names))
+def main_camera(lenses: Mapping[str, Camera]) -> str:
+    """Select the main one of an eye's cameras: the first of those that see most."""
+    slopes = {name: lens.width / lens.matrix[0, 0] for name, lens in lenses.items()}
+    return next(n for n, slope in slopes.items() if slope > AS_WIDE * max(slopes.values()))
+
+
+def narrow_camera(lenses: Mapping[str, Camera]) -> str:
+    """Select the camera of an eye that sees least, and finest; the main one if all see as much."""
+    slopes = {name: lens.width / lens.matrix[0, 0] for name, lens in lenses.items()}
+    main = main_camera(lenses)
+    least = min(slopes, key=lambda name: slopes[name])
+    return least if slopes[least] < AS_WIDE * slopes[main] else main
+
+
+def lenses_of(head: HeadCalibration, eye: Side) -> dict[str, Camera]:
+    """Look up the intrinsics of an eye's cameras by name, in the order of the head."""
+    return {name: head.cameras[name].intrinsics for name in cameras_of(head, eye)}
 
 
 def main_pair(head: HeadCalibration) -> tuple[str, str] | None:
     """Select the main camera of the left and of the right eye; None for a head of one eye."""
-    left, right = (cameras_of(head, eye) for eye in EYES)
-    return (main_camera(left, "left"), main_camera(right, "right")) if left and right else None
+    left, right = (lenses_of(head, eye) for eye in EYES)
+    return (main_camera(left), main_camera(right)) if left and right else None
 
 
 def pair_names(head: HeadCalibration, cameras: tuple[str, str] | None = None) -> tuple[str, str]:
@@ -257,7 +272,8 @@ def base_pose_in_body(head: HeadCalibration, eye: Side, neck_angles: Array) -> A
 
 def wide_pose_in_narrow(head: HeadCalibration, eye: Side) -> Array:
     """Compute the pose (4, 4) of the wide camera in the narrow one: R_fp, t_fp of Sec. III."""
-    wide, narrow = (head.camera(f"{eye}_{lens}") for lens in ("wide", "narrow"))
+    lenses = lenses_of(head, eye)
+    wide, narrow = (head.camera(select(lenses)) for select in (main_camera, narrow_camera))
     return inverse(narrow.T_eye_cam) @ wide.T_eye_cam
 
 

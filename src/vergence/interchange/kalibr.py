@@ -21,7 +21,7 @@ from vergence.geometry.head import (
     HeadCalibration,
     base_pose,
     camera_pose_in_base,
-    cameras_of,
+    lenses_of,
     main_camera,
 )
 from vergence.geometry.kinematics import EYES, straight_gaze
@@ -134,7 +134,7 @@ def update_head(chain: Camchain, template: HeadCalibration) -> HeadCalibration:
     cameras, main = dict(head.cameras), {}
     for eye in EYES:
         if any(cameras[name].eye == eye for name in chain):
-            main[eye] = main_camera(cameras_of(head, eye), eye)
+            main[eye] = main_camera(lenses_of(head, eye))
     if absent := set(main.values()) - set(chain):
         raise VergenceError(
             f"The poses of a camchain are taken from that of each eye's main camera, but it has "

@@ -6,11 +6,16 @@ Source: A. Ude and E. Oztop, "Active 3-D Vision on a Humanoid Head", captions of
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from vergence.accuracy.motions import PERIOD_S, Motion
-from vergence.twin.profile import Lens
+
+Lens = Literal["2.8mm", "4.0mm"]
+"""Focal length of the wide cameras."""
+WIDE = ("left_wide", "right_wide")
+"""The wide cameras of the paper's head, by which it locates points."""
 
 
 @dataclass(frozen=True)

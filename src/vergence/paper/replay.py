@@ -12,13 +12,12 @@ import numpy as np
 
 from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
-from vergence.geometry.head import WIDE, HeadCalibration
+from vergence.geometry.head import HeadCalibration
 from vergence.geometry.projection import project_point
 from vergence.paper.comparison import PAPER, Comparison
-from vergence.paper.figures import Figure, default_duration_s
+from vergence.paper.figures import WIDE, Figure, default_duration_s
 from vergence.progress import Progress, silent
 from vergence.stereo.triangulation import triangulate_at
-from vergence.twin.calibration_sequence import straight_neck
 from vergence.twin.head import Exposure, Twin
 from vergence.vision.sphere import find_sphere
 
@@ -123,7 +122,7 @@ def replay(
     twin.place_object(np.array(figure.mean_m))
 
     def command(time_s: float) -> Array:
-        return straight_neck(eye_angles(figure.motion, np.array(time_s - _LEAD_S)))
+        return twin.posture(eye_angles(figure.motion, np.array(time_s - _LEAD_S)))
 
     def process(
         index: int, exposure: Exposure, eyes: Array, where: Array, bodies: dict[str, Array]

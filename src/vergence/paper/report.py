@@ -11,9 +11,10 @@ from vergence.accuracy.motions import eye_angles
 from vergence.arrays import Array
 from vergence.calibration.initial import SequentialCalibration
 from vergence.files import markdown_table
-from vergence.geometry.head import WIDE, HeadCalibration
+from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import straight_gaze
 from vergence.paper.comparison import PAPER
+from vergence.paper.figures import WIDE
 from vergence.paper.replay import Replay, summaries
 from vergence.stereo.extrinsics import camera_poses
 from vergence.stereo.uncertainty import depth_error, disparity_error

@@ -17,7 +17,7 @@ from vergence.errors import VergenceError, check_seed
 from vergence.files import REPORT, results_folder, write_json, write_whole
 from vergence.geometry.head import HeadCalibration, save_head
 from vergence.paper.comparison import LEARNED, PAPER, Comparison, before_looking, comparison
-from vergence.paper.figures import FIGURES, Figure
+from vergence.paper.figures import FIGURES, Figure, Lens
 from vergence.paper.plots import save_figures
 from vergence.paper.recording import figure_recording, log_results
 from vergence.paper.replay import Replay, as_plain, replay, sample_times, show_method, summaries
@@ -30,7 +30,7 @@ from vergence.twin.appearance import visual_geoms
 from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.calibration_sequence import paper_calibration
 from vergence.twin.head import Twin
-from vergence.twin.profile import ErrorProfile, Lens
+from vergence.twin.profile import ErrorProfile
 from vergence.twin.scene import Scene
 from vergence.twin.simulated_robot import learn_by_looking
 from vergence.viewer.recording import log_frame, log_report

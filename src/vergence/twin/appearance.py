@@ -42,7 +42,7 @@ def visual_geoms(model: mujoco.MjModel) -> list[VisualGeom]:
     geoms = []
     for k in range(model.ngeom):
         # Group 3 has the head's collision shapes, body 0 the room, which would hide the head.
-        if model.geom_group[k] > 2 or model.geom_bodyid[k] == 0:
+        if model.geom_group[k] in (3, 4) or model.geom_bodyid[k] == 0:
             continue
         shape = mujoco.mjtGeom(int(model.geom_type[k])).name.removeprefix("mjGEOM_").lower()
         material = int(model.geom_matid[k])

@@ -8,12 +8,12 @@ import numpy as np
 
 from vergence.accuracy.budget import TIME_OFFSET, Source
 from vergence.arrays import Array
-from vergence.geometry.head import WIDE, HeadCalibration, MountedCamera, pair_names
+from vergence.geometry.head import HeadCalibration, MountedCamera, pair_names
 from vergence.geometry.kinematics import straight_gaze
 from vergence.geometry.parameters import boxminus, is_gain
 from vergence.geometry.se3 import pose, rotation
 from vergence.stereo.extrinsics import rebase, relative_camera_pose
-from vergence.twin.profile import ByHand, ErrorProfile, Lens
+from vergence.twin.profile import ByHand, ErrorProfile
 from vergence.twin.sensors import with_sensors
 
 OBJECT_NOISE_PX = 0.02
@@ -25,9 +25,9 @@ BY_HAND = {
 
 
 def inject_calibration_error(
-    calibration: HeadCalibration, by_hand: ByHand, lens: Lens
+    calibration: HeadCalibration, by_hand: ByHand, lens: str
 ) -> HeadCalibration:
-    """Add errors to the wide cameras of a calibration; straight gaze stays exact (Eq. 10).
+    """Add errors to the main cameras of a calibration; straight gaze stays exact (Eq. 10).
 
     T_rbase_lbase is recomputed by Eq. 10, so that T_rcam_lcam at zero joint angles stays the same.
     The lens selects the error of the focal length.
@@ -35,8 +35,8 @@ def inject_calibration_error(
     if by_hand == ByHand():
         return calibration
     focal = by_hand.focal_percent_28 if lens == "2.8mm" else by_hand.focal_percent_40
-    cameras = dict(calibration.cameras)
-    for name, sign in zip(WIDE, (1, -1), strict=True):
+    cameras, pair = dict(calibration.cameras), pair_names(calibration)
+    for name, sign in zip(pair, (1, -1), strict=True):
         mounted = calibration.camera(name)
         matrix = mounted.intrinsics.matrix.copy()
         matrix[[0, 1], [0, 1]] *= 1 + focal / 100
@@ -47,8 +47,8 @@ def inject_calibration_error(
             T_eye_cam=mounted.T_eye_cam @ pose(roll, [0, 0, by_hand.axial_mm * 1e-3]),
         )
     straight = straight_gaze(calibration.kinematics)
-    T = relative_camera_pose(calibration, straight, cameras=WIDE)
-    return rebase(replace(calibration, cameras=cameras), T, joints=straight, cameras=WIDE)
+    T = relative_camera_pose(calibration, straight, cameras=pair)
+    return rebase(replace(calibration, cameras=cameras), T, joints=straight, cameras=pair)
 
 
 def profile_sources(
@@ -81,7 +81,7 @@ def profile_sources(
     if TIME_OFFSET not in estimated:
         errors["delay"] = {TIME_OFFSET: -1e-3 * joints.delay_ms}
     focal_px = head.camera(pair_names(head)[0]).intrinsics.matrix[0, 0]
-    lens: Lens = "4.0mm" if focal_px > 340 else "2.8mm"
+    lens = "4.0mm" if focal_px > 340 else "2.8mm"
     of_lens = "focal_percent_40" if lens == "4.0mm" else "focal_percent_28"
     for name, title in {of_lens: "focal lengths, by hand", **BY_HAND}.items():
         if value := getattr(profile.by_hand, name):

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -16,14 +17,22 @@ from vergence.arrays import Array
 from vergence.calibration.initial import SequentialCalibration, calibrate_sequentially
 from vergence.calibration.intrinsics import lenses_of_the_paper
 from vergence.calibration.observations import Observations
+from vergence.errors import VergenceError
+from vergence.gaze.commands import JointLimits, usual_limits
 from vergence.geometry.board import Board, Chessboard, corner_points
-from vergence.geometry.head import R_EYE_CAM, WIDE, HeadCalibration
+from vergence.geometry.head import (
+    R_EYE_CAM,
+    HeadCalibration,
+    camera_pose_in_base,
+    cameras_of,
+    lenses_of,
+    main_camera,
+)
 from vergence.geometry.kinematics import EYES, readings_to_turn, straight_gaze
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, pose, rotation, transform
 from vergence.progress import Progress, silent
 from vergence.twin.head import Exposure, Twin
-from vergence.twin.model import NECK_JOINTS
 from vergence.twin.profile import ErrorProfile
 from vergence.vision.board_detection import detect_board
 
@@ -36,6 +45,8 @@ NARROW_VIEWS = 12
 """Poses of the board for each narrow camera, in view of both wide cameras too."""
 ORIENTATIONS = 60
 """Eye orientations at which the board at rest is seen, for hand-eye calibration."""
+IN_VIEW = 0.6
+"""Share of images of the board at rest that show all of it, from which its place is good enough."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,41 +68,103 @@ def plan(
     seed: int,
     *,
     board: Board = BOARD,
+    limits: JointLimits | None = None,
     views: tuple[int, int, int] = (WIDE_VIEWS, NARROW_VIEWS, ORIENTATIONS),
 ) -> list[Shot]:
-    """Plan the views of a calibration sequence for a nominal head.
+    """Plan the views of a calibration sequence for a nominal head within limits of its joints.
 
     `views` are the numbers for the wide cameras, for each narrow camera, and of the board at rest.
     """
     wide_views, narrow_views, orientations = views
+    ranges = (limits or usual_limits(head)).setpoint_range_rad[len(head.neck.axes) :]
     rng = np.random.default_rng([seed, 4])
     shots: list[Shot] = []
-    held = [(WIDE, wide_views, (0.28, 0.65), 0.7)]
-    held += [((*WIDE, f"{eye}_narrow"), narrow_views, (0.72, 1.1), 0.6) for eye in EYES]
+    main = main_cameras(head)
+    held = [(main, wide_views, (0.28, 0.65), 0.7)]
+    held += [((*main, other), narrow_views, (0.72, 1.1), 0.6) for other in other_cameras(head)]
+    straight = np.clip(straight_gaze(head.kinematics), *ranges.T)
     for cameras, count, depth_m, lean_rad in held:
+        farther = np.array(depth_m)
         for _ in range(count):
-            T = _held_board(head, board, cameras, depth_m, lean_rad, rng)
-            shots.append(Shot(len(shots), T, straight_gaze(head.kinematics), cameras))
-    fixed = len(shots)
-    T_fixed = _facing(board, (0.60, 0.0, 0.0), np.array([0.25, -0.2, 0.05]))  # [m], [rad]
+            # Depths are those of a usual lens; a board that fits into no image is farther away.
+            T = None
+            while T is None:
+                T = _held_board(head, board, cameras, straight, farther, lean_rad, rng)
+                farther = farther if T is not None else 1.25 * farther
+            shots.append(Shot(len(shots), T, straight, cameras))
+    at_rest = _around_board_at_rest(head, board, main, ranges, orientations)
+    return shots + [replace(shot, placement=len(shots)) for shot in at_rest]
+
+
+def _around_board_at_rest(
+    head: HeadCalibration, board: Board, cameras: tuple[str, ...], ranges: Array, count: int
+) -> list[Shot]:
+    """Turn the eyes about a board at rest, as far as it stays in most of the images.
+
+    It stands farther away, and the eyes turn less, where lenses are narrow.
+    """
+    straight = np.clip(straight_gaze(head.kinematics), *ranges.T)
+    turned = np.array([0.25, -0.2, 0.05])  # [rad]
     # Directions spread evenly over an ellipse (sunflower): pan and tilt vary independently. The
     # innermost three are left out: the calibration would take them for straight gaze.
-    k = np.arange(3, orientations + 3) + 0.5
-    radius, turn = np.sqrt(k / (orientations + 3)), k * np.pi * (3 - np.sqrt(5))
-    pan, tilt = 0.30 * radius * np.cos(turn), 0.26 * radius * np.sin(turn)
-    # Eyes that can roll do, by the product, which resembles neither of the others; so does a
-    # reading that stays the same when both eyes turn alike, such as vergence.
-    product = pan * tilt / 0.26
-    gaze = readings_to_turn(head.kinematics, np.stack([product, tilt, pan], axis=-1))
-    gaze[:, np.ptp(gaze, axis=0) < 1e-6] = product[:, None]
-    shots += [Shot(fixed, T_fixed, readings, WIDE) for readings in gaze]
+    k = np.arange(3, count + 3) + 0.5
+    radius, turn = np.sqrt(k / (count + 3)), k * np.pi * (3 - np.sqrt(5))
+    best, shots = -1.0, []
+    for smaller, depth_m in product((1.0, 0.75, 0.5, 0.35), (0.60, 0.75, 0.95, 1.2)):
+        pan, tilt = 0.30 * radius * np.cos(turn) * smaller, 0.26 * radius * np.sin(turn) * smaller
+        # Eyes that can roll do, by the product, which resembles neither of the others; so does a
+        # reading that stays the same when both eyes turn alike, such as vergence.
+        product_rad = pan * tilt / (0.26 * smaller)
+        turns = np.stack([product_rad, tilt, pan], axis=-1)
+        gaze = readings_to_turn(head.kinematics, turns)
+        gaze[:, np.ptp(gaze, axis=0) < 1e-6] = product_rad[:, None]
+        gaze = within(ranges, gaze, np.abs(gaze).max(axis=0, initial=0.0))
+        T = _facing(board, _view(head, cameras[0], straight), (depth_m, 0.0, 0.0), turned)
+        tried = [Shot(0, T, readings, cameras) for readings in gaze]
+        seen = [[visible(head, board, n, shot).all() for n in cameras] for shot in tried]
+        if (share := float(np.mean(seen))) > best + 0.05:
+            best, shots = share, tried
+        if best > IN_VIEW:
+            break
     return shots
 
 
-def _facing(board: Board, centre: Sequence[float] | Array, turn: Array) -> Array:
-    """Place a board with its middle at a centre, turned from facing the head; T_lbase_target."""
+def main_cameras(head: HeadCalibration) -> tuple[str, ...]:
+    """List the main camera of each eye that has one."""
+    return tuple(main_camera(lenses_of(head, eye)) for eye in EYES if cameras_of(head, eye))
+
+
+def other_cameras(head: HeadCalibration) -> list[str]:
+    """List the cameras that are not their eye's main one, those of the left eye first."""
+    every = [name for eye in EYES for name in cameras_of(head, eye)]
+    return [name for name in every if name not in main_cameras(head)]
+
+
+def within(ranges: Array, readings: Array, amplitude: Array) -> Array:
+    """Move and scale readings (..., r) that swing about zero into ranges (r, 2) [rad].
+
+    The amplitudes (r,) [rad] say how far. Readings that fit are left as they are.
+    """
+    lower, upper = ranges.T
+    fits = np.minimum(amplitude, (upper - lower) / 2)
+    centre = np.clip(0.0, lower + fits, upper - fits)
+    scale = np.divide(fits, amplitude, out=np.ones_like(fits), where=amplitude > 0)
+    return readings * scale + centre
+
+
+def _view(head: HeadCalibration, camera: str, readings: Array) -> Array:
+    """Compute T_lbase_view (4, 4): at the base of a camera's eye, x along the camera's axis."""
+    eye = head.camera(camera).eye
+    T_lbase_base = np.eye(4) if eye == "left" else inverse(head.T_rbase_lbase)
+    R_base_cam = camera_pose_in_base(head, camera, readings)[:3, :3]
+    return T_lbase_base @ pose(R_base_cam @ R_EYE_CAM.T)
+
+
+def _facing(board: Board, T_view: Array, centre: Sequence[float], turn: Array) -> Array:
+    """Place a board with its middle at a centre in a view, turned from facing it."""
     middle = corner_points(board).mean(axis=0)
-    return pose(R_EYE_CAM @ rotation(turn), centre) @ pose(t=-middle)
+    R, t = T_view[:3, :3], T_view[:3, 3]
+    return pose(R @ (R_EYE_CAM @ rotation(turn)), R @ centre + t) @ pose(t=-middle)
 
 
 def visible(head: HeadCalibration, board: Board, name: str, shot: Shot) -> np.ndarray:
@@ -114,24 +187,33 @@ def _held_board(
     head: HeadCalibration,
     board: Board,
     cameras: Sequence[str],
-    depth_m: tuple[float, float],
+    readings: Array,
+    depth_m: Array,
     lean_rad: float,
     rng: np.random.Generator,
-) -> Array:
-    """Draw a T_lbase_target at which all the cameras see the whole board."""
-    mounted = head.camera(cameras[-1])
-    eye_y = 0.0 if mounted.eye == "left" else inverse(head.T_rbase_lbase)[1, 3]
-    slope = mounted.intrinsics.width / 2 / mounted.intrinsics.matrix[0, 0]
-    for _ in range(10_000):
+) -> Array | None:
+    """Draw a T_lbase_target at which all the cameras see the whole board.
+
+    The depth is between two (2,) [m]; None: at these depths it fits into no image. VergenceError if
+    that is so beyond the room.
+    """
+    if depth_m[0] > 3.0:
+        raise VergenceError(
+            f"The board fits into no image of {' and '.join(cameras)} at once; a head for the twin "
+            "has eyes that look at one place with every joint at zero."
+        )
+    intrinsics, T_view = head.camera(cameras[-1]).intrinsics, _view(head, cameras[-1], readings)
+    slope = intrinsics.width / 2 / intrinsics.matrix[0, 0]
+    for _ in range(2_000):
         depth = rng.uniform(*depth_m)
         y, z = rng.uniform(-slope, slope, 2) * depth
         turn = rng.uniform(-1, 1, 3) * [lean_rad, lean_rad, 0.3]
-        T = _facing(board, (depth, y + eye_y, z), turn)
-        shot = Shot(0, T, straight_gaze(head.kinematics), ())
+        T = _facing(board, T_view, (depth, y, z), turn)
+        shot = Shot(0, T, readings, ())
         # The last camera, which sees least, is asked first.
         if all(visible(head, board, camera, shot).all() for camera in reversed(cameras)):
             return T
-    raise AssertionError("the board fits into no image at these depths")
+    return None
 
 
 def board_as_given(profile: ErrorProfile, board: Board = BOARD) -> Board:
@@ -140,11 +222,6 @@ def board_as_given(profile: ErrorProfile, board: Board = BOARD) -> Board:
     if isinstance(board, Chessboard):
         return replace(board, square_m=board.square_m / printed)
     return replace(board, square_m=board.square_m / printed, marker_m=board.marker_m / printed)
-
-
-def straight_neck(eye_angles: Array) -> Array:
-    """Make the command (j,) of readings of the eyes (r,) [rad] with the neck straight."""
-    return np.concatenate([np.zeros(len(NECK_JOINTS)), eye_angles])
 
 
 def carry_out(twin: Twin, shots: Sequence[Shot], *, interval_s: float = 0.0) -> Iterator[Shot]:
@@ -156,7 +233,7 @@ def carry_out(twin: Twin, shots: Sequence[Shot], *, interval_s: float = 0.0) -> 
     posture: Array | None = None
     for shot in shots:
         twin.place_board(shot.T_lbase_target)
-        command = straight_neck(shot.eye_angles)
+        command = twin.posture(shot.eye_angles)
         if posture is None or (shot.eye_angles != posture).any():
             posture = shot.eye_angles
             twin.settle(command)
@@ -189,7 +266,7 @@ def paper_calibration(
 
     The wide lenses are modelled as the twin's profile says. The seed is that of the board's poses.
     """
-    views = capture_views(twin, plan(twin.nominal, seed), progress=progress)
+    views = capture_views(twin, plan(twin.nominal, seed, limits=twin.limits), progress=progress)
     lenses = lenses_of_the_paper(views, twin.profile.calibration.wide_lens)
     return calibrate_sequentially(views, lenses=lenses, neck=twin.nominal.neck)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
 
 import mujoco
 import numpy as np
@@ -15,20 +14,19 @@ from scipy.spatial.transform import Rotation
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.errors import check_seed
-from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import EYES, Kinematics
+from vergence.geometry.head import HeadCalibration, base_pose
 from vergence.geometry.se3 import inverse, pose, transform
 from vergence.twin import renderer
+from vergence.twin.head_model import HeadModel, load_head_model
 from vergence.twin.model import (
-    CAMERAS,
-    NECK_JOINTS,
     as_built_head,
+    body_in_room,
     body_pose,
     compile_head,
-    hinges,
-    nominal_head,
+    moving_joints,
+    shared_joints,
 )
-from vergence.twin.profile import ErrorProfile, Lens
+from vergence.twin.profile import ErrorProfile
 from vergence.twin.renderer import Negative, Renderer, overscan_sizes
 from vergence.twin.scene import PASSER, Scene, passer_position
 from vergence.twin.sensors import play, read
@@ -59,40 +57,50 @@ class Twin:
         self,
         profile: ErrorProfile,
         *,
+        head: HeadModel | None = None,
         seed: int = 0,
-        lens: Lens = "2.8mm",
-        kinematics: Kinematics | None = None,
+        lens: str | None = None,
         scene: Scene = "room",
         oversampling: float | None = None,
         furnish: Callable[[mujoco.MjSpec], None] | None = None,
     ):
-        """Build a head with wide cameras of a lens and the imperfections of a profile.
+        """Build a head with the imperfections of a profile.
 
-        The same seed gives the same head, whatever the lens. The eyes have two joints each or
-        more; by default pan, then tilt. Oversampling is that of images that are distorted; None:
-        OVERSAMPLING of the renderer. `furnish` changes the scene, for example its board.
-        VergenceError if there is no OpenGL, the eyes have fewer joints, or the seed is negative.
+        `head` is one that `load_head_model` reads; None: the default one, with one of its lenses.
+        The same seed gives the same errors, whatever the lens. Oversampling is that of images that
+        are distorted; None: OVERSAMPLING of the renderer. `furnish` changes the scene, for example
+        its board. VergenceError if there is no OpenGL, or the seed is negative.
         """
         check_seed(seed)
-        self.profile = profile
-        self.nominal: HeadCalibration = nominal_head(lens, kinematics)
-        self.truth: HeadCalibration = as_built_head(self.nominal, profile, seed)
+        head = load_head_model(lens=lens) if head is None else head
+        self.profile, self.head, self.limits = profile, head, head.limits
+        self.nominal: HeadCalibration = head.designed.head
+        self.truth: HeadCalibration = as_built_head(
+            self.nominal, profile, seed, shared=len(shared_joints(head.designed))
+        )
         sizes = overscan_sizes(self.truth)
-        self.model = compile_head(self.truth, sizes, scene=scene, furnish=furnish)
+        self.model = compile_head(head, self.truth, sizes, scene=scene, furnish=furnish)
         self._passes = scene == "moving"
         self._data = mujoco.MjData(self.model)
         self._seen = mujoco.MjData(self.model)  # the pose at which pictures are taken
         self._seed = seed
-        self._readings = slice(len(NECK_JOINTS), None)  # columns of a posture, behind the neck's
+        neck = len(self.truth.neck.axes)
+        self._readings = slice(neck, None)  # columns of a posture, behind the neck's
+        self._base = body_in_room(self.model, head.designed.base)
         self.watch: Callable[[float, Array], None] | None = None
         """Called with the time [s] and the posture (j,) [rad] on the sensors' side every 5 ms."""
-        names = [*NECK_JOINTS, *chain.from_iterable(hinges(self.truth.kinematics).values())]
+        names = moving_joints(head.designed)
+        of_joint = self.model.actuator_trnid[:, 0].tolist()
         self._addresses = [self.model.joint(name).qposadr[0] for name in names]
-        self._actuators = [self.model.actuator(name).id for name in names]
-        chains = self.truth.kinematics.chains
+        self._actuators = [of_joint.index(self.model.joint(name).id) for name in names]
         # Angles of the model's joints by neck joints and readings, and back.
-        eyes = np.concatenate([chains[eye].mixing for eye in EYES])
-        self._mixing: Array = np.asarray(block_diag(np.eye(len(NECK_JOINTS)), eyes))
+        rows: dict[str, tuple[Array, float]] = {}
+        for eye, joints in head.designed.eyes.items():
+            found = self.nominal.kinematics.chains[eye]
+            rows |= dict(zip(joints, zip(found.mixing, found.offset_rad, strict=True), strict=True))
+        eyes = np.array([rows[name][0] for name in names[neck:]])
+        self._mixing: Array = np.asarray(block_diag(np.eye(neck), eyes))
+        self._offset = np.array([0.0] * neck + [rows[name][1] for name in names[neck:]])
         self._unmixing = np.linalg.pinv(self._mixing)
         # Aliasing matters more where there is less texture to match.
         usual = renderer.OVERSAMPLING * (2 if scene == "sparse" else 1)
@@ -108,7 +116,9 @@ class Twin:
         """
         self._rng = np.random.default_rng([self._seed, 3, run])
         self._renderer.restart(run)
-        mujoco.mj_resetDataKeyframe(self.model, self._data, self.model.key("home").id)
+        mujoco.mj_resetData(self.model, self._data)
+        self._data.qpos[:] = self.rest_qpos()
+        self._data.ctrl[self._actuators] = self._data.qpos[self._addresses]
         mujoco.mj_forward(self.model, self._data)
         self._times = np.full(_HISTORY, 0.0)
         self._true = np.tile(self._posture(), (_HISTORY, 1))
@@ -116,6 +126,20 @@ class Twin:
         self.place_board(None)
         self.place_object(None)
         self.place_hand(None)
+
+    def rest(self) -> Array:
+        """Compute the posture (j,) [rad] nearest to zero that the limits admit."""
+        return np.clip(np.zeros(len(self.limits.joints)), *self.limits.setpoint_range_rad.T)
+
+    def rest_qpos(self) -> Array:
+        """Compute the positions of the model's joints at rest."""
+        qpos = self.model.qpos0.copy()
+        qpos[self._addresses] = self._mixing @ self.rest() + self._offset
+        return qpos
+
+    def posture(self, readings: Array) -> Array:
+        """Make the command (j,) of readings of the eyes (r,) [rad] with the neck at rest."""
+        return np.concatenate([self.rest()[: self._readings.start], readings])
 
     @property
     def time_s(self) -> float:
@@ -131,7 +155,9 @@ class Twin:
         line, which is servoed at 1 kHz.
         """
         backlash = np.radians(self.profile.joints.backlash_deg)
-        width = backlash / np.append(np.ones(len(NECK_JOINTS)), self.truth.kinematics.gear_ratios)
+        width = backlash / np.append(
+            np.ones(self._readings.start), self.truth.kinematics.gear_ratios
+        )
         wanted_at = command if callable(command) else lambda _: command
         last: Array | None = None
         model, data, ctrl, driven = self.model, self._data, self._data.ctrl, self._actuators
@@ -142,7 +168,7 @@ class Twin:
             last = wanted_at(begin + _TICK_STEPS / 1000)
             part = np.arange(past, min(past + left, _TICK_STEPS))[:, None] / _TICK_STEPS
             wanted = (1 - part) * first + part * last
-            for controls in wanted @ self._mixing.T:
+            for controls in wanted @ self._mixing.T + self._offset:
                 ctrl[driven] = controls
                 mujoco.mj_step(model, data)
             angles = self._posture()
@@ -160,7 +186,7 @@ class Twin:
 
     def _posture(self) -> Array:
         """Compute the neck's angles and the readings without errors, (j,) [rad]."""
-        return self._unmixing @ self._data.qpos[self._addresses]
+        return self._unmixing @ (self._data.qpos[self._addresses] - self._offset)
 
     def _at(self, history: Array, time_s: float) -> Array:
         return np.array([np.interp(time_s, self._times, column) for column in history.T])
@@ -186,11 +212,14 @@ class Twin:
         """Compute the position (3,) [m] of the object in the left eye's base."""
         return transform(inverse(self.T_world_lbase()), self._data.body("object").xpos)
 
-    def expose(self, cameras: Sequence[str] = CAMERAS) -> Exposure:
-        """Take a frame: render, and read the sensors."""
+    def expose(self, cameras: Sequence[str] | None = None) -> Exposure:
+        """Take a frame: render, and read the sensors; None: of all cameras."""
+        cameras = tuple(self.truth.cameras) if cameras is None else cameras
         image_s, joint_s = self._moments()
         self._seen.qpos[:] = self._data.qpos
-        self._seen.qpos[self._addresses] = self._mixing @ self._at(self._true, image_s)
+        self._seen.qpos[self._addresses] = (
+            self._mixing @ self._at(self._true, image_s) + self._offset
+        )
         self._seen.mocap_pos[:] = self._data.mocap_pos
         self._seen.mocap_quat[:] = self._data.mocap_quat
         if self._passes:
@@ -215,8 +244,8 @@ class Twin:
         images = {n.camera: self._renderer.develop(n) for n in exposure.negatives}
         return replace(exposure.frame, images=images)
 
-    def capture(self, cameras: Sequence[str] = CAMERAS) -> Frame:
-        """Take a frame and finish its pictures."""
+    def capture(self, cameras: Sequence[str] | None = None) -> Frame:
+        """Take a frame and finish its pictures; None: of all cameras."""
         return self.develop(self.expose(cameras))
 
     def true_depth(self, camera: str) -> Array:
@@ -225,10 +254,8 @@ class Twin:
 
     def T_world_lbase(self) -> Array:
         """Compute the pose (4, 4) of the left eye's base in the world."""
-        T_world_head = body_pose(self._data, "head")
-        pan = self.model.body("left_pan")
-        R = Rotation.from_quat(pan.quat, scalar_first=True).as_matrix()
-        return T_world_head @ pose(R, pan.pos)
+        T_base_head = self.head.designed.T_base_head
+        return body_pose(self._data, self._base) @ T_base_head @ base_pose(self.truth, "left")
 
     def _place(self, body: str, T_lbase_body: Array | None) -> None:
         mocap = self.model.body(body).mocapid[0]

@@ -1,7 +1,4 @@
-"""From the MJCF model to a nominal head, to an as-built head, and back to a compiled model.
-
-The names that the model uses are looked up here and nowhere else.
-"""
+"""From a head as designed to an as-built one, and to a compiled model of it in its room."""
 
 # pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
@@ -15,102 +12,37 @@ from scipy.spatial.transform import Rotation
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
-from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration, MountedCamera, base_pose, pair_names
 from vergence.geometry.joints import Joint
-from vergence.geometry.kinematics import EYES, Kinematics, Side
-from vergence.geometry.neck import Neck
-from vergence.geometry.se3 import pose, rotation
-from vergence.twin.profile import ErrorProfile, Lens
-from vergence.twin.scene import Scene, load_spec
+from vergence.geometry.kinematics import EYES, Side
+from vergence.geometry.se3 import inverse, pose, rotation
+from vergence.twin.designed_head import R_MJCAM_CAM, DesignedHead
+from vergence.twin.head_model import HeadModel
+from vergence.twin.model_chain import model_chain, resting
+from vergence.twin.profile import ErrorProfile
+from vergence.twin.scene import Scene, load_room
 
-NECK_JOINTS = "neck_pitch", "neck_roll", "neck_yaw"
-CAMERAS = ("left_wide", "right_wide", "left_narrow", "right_narrow")
-
-R_MJCAM_CAM = np.diag([1.0, -1.0, -1.0])  # MuJoCo's cameras look along -z with +y up
-
-FOCAL_MM: dict[Lens, float] = {"2.8mm": 2.8, "4.0mm": 4.0}
-# Barrel distortion that is usual for such lenses on a 1/2" sensor: 10 % and 4 % at the edge.
-DISTORTION: dict[Lens, tuple[float, ...]] = {
-    "2.8mm": (-0.12, 0.02, 0.0005, -0.0005, 0.0),
-    "4.0mm": (-0.09, 0.015, 0.0005, -0.0005, 0.0),
-}
-
-
-LEAST_JOINTS = 2
-"""Fewest joints of an eye: those of the MJCF file."""
-
-
-def hinges(kinematics: Kinematics) -> dict[Side, list[str]]:
-    """Name the model's joints by eye, from the head outwards; those after the second are added."""
-    return {
-        eye: [
-            f"{eye}_pan",
-            f"{eye}_tilt",
-            *(f"{eye}_joint_{k + 1}" for k in range(LEAST_JOINTS, len(kinematics.eyes[eye]))),
-        ]
-        for eye in EYES
-    }
+PREFIX = "head/"
+"""Of what the head has in the model of head and room, where the room has something of its name."""
+EYES_AT_M = np.array([0.0, 0.0, 1.2])
+"""Where frame head is in the room with the neck at zero."""
+SERVO_RAD_S = 500.0
+"""Bandwidth of a servo of a joint for which the model has none; it lags by 4 ms."""
+SENSOR_PITCH_M = np.float32(1e-5)
+"""Size of a pixel [m], which cancels: MuJoCo asks for it."""
+HIDDEN = 5
+"""Group of geoms that no camera sees; recordings show them."""
+STEP_S = 0.001
+"""Step of the physics [s]."""
 
 
-def nominal_head(lens: Lens, kinematics: Kinematics | None = None) -> HeadCalibration:
-    """Build the head as designed, with a lens in the wide cameras.
-
-    Without kinematics an eye pans, then tilts. VergenceError if an eye has fewer than two joints.
-    """
-    kinematics = kinematics or Kinematics()
-    for eye, joints in kinematics.eyes.items():
-        if len(joints) < LEAST_JOINTS:
-            raise VergenceError(
-                f"An eye of the twin has {LEAST_JOINTS} joints or more, the {eye} one was given "
-                f"{len(joints)}."
-            )
-    spec = load_spec()
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    bases = {eye: data.body(f"{eye}_pan").xpos for eye in EYES}
-    body = data.body("body").xpos
-    joints = [data.joint(name) for name in NECK_JOINTS]
-    cameras = {}
-    for name in CAMERAS:
-        camera, eye = model.camera(name), EYES[name.startswith("right")]
-        width, height = (int(size) for size in model.cam_resolution[camera.id])
-        pitch_m = model.cam_sensorsize[camera.id, 0] / width
-        wide = name.endswith("wide")
-        focal_m = FOCAL_MM[lens] * 1e-3 if wide else model.cam_intrinsic[camera.id, 0]
-        matrix = np.diag([focal_m / pitch_m, focal_m / pitch_m, 1.0])
-        matrix[:2, 2] = (width - 1) / 2, (height - 1) / 2
-        cameras[name] = MountedCamera(
-            eye=eye,
-            intrinsics=Camera(
-                width=width,
-                height=height,
-                matrix=matrix,
-                distortion=np.array(DISTORTION[lens]) if wide else np.zeros(5),
-            ),
-            T_eye_cam=pose(
-                Rotation.from_quat(camera.quat, scalar_first=True).as_matrix() @ R_MJCAM_CAM,
-                camera.pos - kinematics.chains[eye].end_m,
-            ),
-        )
-    return HeadCalibration(
-        cameras=cameras,
-        T_rbase_lbase=pose(t=bases["left"] - bases["right"]),
-        kinematics=kinematics,
-        neck=Neck(
-            axes=np.array([joint.xaxis for joint in joints]),
-            points_m=np.array([joint.xanchor - body for joint in joints]),
-            head_m=(bases["left"] + bases["right"]) / 2 - body,
-            joints=NECK_JOINTS,
-        ),
-    )
-
-
-def as_built_head(nominal: HeadCalibration, profile: ErrorProfile, seed: int) -> HeadCalibration:
+def as_built_head(
+    nominal: HeadCalibration, profile: ErrorProfile, seed: int, *, shared: int = 0
+) -> HeadCalibration:
     """Draw the true head from the nominal one and the standard deviations of a profile.
 
-    All profiles draw the same random numbers.
+    All profiles draw the same random numbers. Joints that both eyes share, from the base outwards,
+    are as designed, and so are then the bases of the eyes.
     """
     rng = np.random.default_rng([seed, 1])
     mounting, optics = profile.mounting, profile.optics
@@ -132,23 +64,235 @@ def as_built_head(nominal: HeadCalibration, profile: ErrorProfile, seed: int) ->
             T_eye_cam=pose(t=shift) @ mounted.T_eye_cam @ pose(rotation(turn)),
         )
     T_rbase_lbase = nominal.T_rbase_lbase.copy()
-    if mounting.baseline_mm is not None:
-        T_rbase_lbase[:3, 3] *= mounting.baseline_mm * 1e-3 / np.linalg.norm(T_rbase_lbase[:3, 3])
-    T_rbase_lbase = T_rbase_lbase @ pose(
-        rotation(rng.normal(0, np.radians(mounting.base_rotation_deg), 3)),
-        rng.normal(0, mounting.base_translation_mm * 1e-3, 3),
-    )
+    turn = rng.normal(0, np.radians(mounting.base_rotation_deg), 3)
+    shift = rng.normal(0, mounting.base_translation_mm * 1e-3, 3)
+    if not shared and all(nominal.kinematics.eyes.values()):
+        if mounting.baseline_mm is not None:
+            distance_m = np.linalg.norm(T_rbase_lbase[:3, 3])
+            T_rbase_lbase[:3, 3] *= mounting.baseline_mm * 1e-3 / distance_m
+        T_rbase_lbase = T_rbase_lbase @ pose(rotation(turn), shift)
     eyes: dict[Side, tuple[Joint, ...]] = {}
-    for eye, turn, distance in zip(
+    for eye, turn_deg, distance_mm in zip(
         EYES, profile.axes.nonorthogonality_deg, profile.axes.distance_mm, strict=True
     ):
-        first, second, *more = nominal.kinematics.eyes[eye]
-        second = replace(
-            second, nonorthogonality_rad=np.radians(turn), axis_distance_m=distance * 1e-3
-        )
-        eyes[eye] = first, second, *more
+        joints = list(nominal.kinematics.eyes[eye])
+        if len(joints) > 1 >= shared:
+            joints[1] = replace(
+                joints[1],
+                nonorthogonality_rad=np.radians(turn_deg),
+                axis_distance_m=distance_mm * 1e-3,
+            )
+        eyes[eye] = tuple(joints)
     kinematics = replace(nominal.kinematics, eyes=eyes)
     return replace(nominal, cameras=cameras, T_rbase_lbase=T_rbase_lbase, kinematics=kinematics)
+
+
+def shared_joints(designed: DesignedHead) -> tuple[str, ...]:
+    """List the model's joints that move both eyes, from the base outwards."""
+    left, right = (designed.eyes.get(eye, ()) for eye in EYES)
+    return tuple(name for name in left if name in right)
+
+
+def moving_joints(designed: DesignedHead) -> list[str]:
+    """List the model's joints that move: the neck's and the eyes', each once."""
+    eyes = [name for eye in EYES for name in designed.eyes.get(eye, ())]
+    return list(dict.fromkeys([*designed.neck, *eyes]))
+
+
+def compile_head(
+    of: HeadModel,
+    head: HeadCalibration,
+    overscan: dict[str, tuple[int, int]],
+    *,
+    scene: Scene = "room",
+    furnish: Callable[[mujoco.MjSpec], None] | None = None,
+) -> mujoco.MjModel:
+    """Compile a scene with an as-built head, whose lens distortion the renderer adds.
+
+    `overscan` is the width and height [px] to render by camera, at the camera's own focal length;
+    the image lies in the middle of it. `furnish` changes the scene, for example its board.
+    """
+    spec, designed = of.spec.copy(), of.designed
+    _let_stand_still(spec, of)
+    _add_servos(spec, of)
+    _build_eyes(spec, of, head)
+    _mount_cameras(spec, of, head, overscan)
+    room = load_room(scene)
+    for each in (spec, room):
+        each.option.timestep = STEP_S
+        each.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    chain = model_chain(of.model, "world", designed.base, designed.neck)
+    T_world_model = pose(t=EYES_AT_M) @ inverse(chain.T_base_end @ designed.T_base_head)
+    T_world_model = np.round(T_world_model, 9) + 0.0  # exact where the model stands upright
+    frame = room.worldbody.add_frame(pos=T_world_model[:3, 3], quat=_quaternion(T_world_model))
+    room.attach(spec, frame=frame, prefix=PREFIX)
+    for parts in (room.bodies, room.joints, room.cameras):
+        taken = {part.name for part in parts}
+        for part in parts:
+            plain = part.name.removeprefix(PREFIX)
+            part.name = part.name if plain in taken else plain
+    for actuator in room.actuators:
+        actuator.target = actuator.target.removeprefix(PREFIX)
+    if furnish is not None:
+        furnish(room)
+    model = room.compile()
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)  # nothing collides
+    _hide_before_lenses(model)
+    return model
+
+
+def _hide_before_lenses(model: mujoco.MjModel) -> None:
+    """Hide from the cameras what is mounted with them and stands before them, such as an eyeball.
+
+    Models place cameras inside of meshes, and links of a URDF that are no cameras.
+    """
+    data, weld, groups = mujoco.MjData(model), model.body_weldid, model.geom_group.copy()
+    mujoco.mj_forward(model, data)
+    u, v = (part.ravel() for part in np.meshgrid(np.linspace(-1, 1, 9), np.linspace(-1, 1, 7)))
+    for camera in range(model.ncam):
+        # Metres in the image plane, per metre of depth.
+        half = model.cam_sensorsize[camera] / 2 / model.cam_intrinsic[camera, :2]
+        rays = np.stack([u * half[0], v * half[1], -np.ones_like(u)], axis=-1)
+        mounted = weld[model.geom_bodyid] == weld[model.cam_bodyid[camera]]
+        model.geom_group[:] = np.where(mounted & (groups < 3), 0, HIDDEN)  # 3 and more: not drawn
+        for ray in rays @ data.cam_xmat[camera].reshape(3, 3).T:
+            geom, first = np.zeros((1, 1), np.int32), np.array([1, 0, 0, 0, 0, 0], np.uint8)
+            while mujoco.mj_ray(model, data, data.cam_xpos[camera], ray, first, 1, -1, geom) >= 0:
+                model.geom_group[geom[0, 0]] = groups[geom[0, 0]] = HIDDEN
+    model.geom_group[:] = groups
+
+
+def _quaternion(T: Array) -> Array:
+    return Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True)
+
+
+def _place(part: mujoco.MjsBody | mujoco.MjsCamera, T: Array) -> None:
+    """Put a body or a camera of a specification at a pose (4, 4) in its parent."""
+    part.pos, part.quat = T[:3, 3], _quaternion(T)
+    part.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+
+
+def _let_stand_still(spec: mujoco.MjSpec, of: HeadModel) -> None:
+    """Delete all joints that neither turn an eye nor are the neck's, and what refers to them.
+
+    Their bodies stay where the model has them at rest, and joints that move begin at zero. What
+    stands in the world of the model is deleted too.
+    """
+    model, moving = of.model, moving_joints(of.designed)
+    data = mujoco.MjData(model)
+    data.qpos[:] = resting(model)
+    changed = set()
+    for k in range(model.njnt):
+        joint, first = model.joint(k), model.jnt_qposadr[k]
+        if joint.name in moving:
+            data.qpos[first] = 0.0
+        elif model.jnt_type[k] == mujoco.mjtJoint.mjJNT_FREE:
+            data.qpos[first : first + 7] = model.qpos0[first : first + 7]
+            continue
+        if (data.qpos[first : first + 4] != model.qpos0[first : first + 4]).any():
+            changed.add(int(model.jnt_bodyid[k]))
+    mujoco.mj_kinematics(model, data)
+    for k in changed:
+        parent = body_pose(data, model.body(model.body_parentid[k]).name)
+        _place(spec.body(model.body(k).name), inverse(parent) @ body_pose(data, model.body(k).name))
+    servos = [
+        actuator
+        for actuator in spec.actuators
+        if actuator.target in moving and _is_position_servo(actuator)
+    ]
+    kept = {actuator.target for actuator in servos}
+    for part in [
+        *(a for a in spec.actuators if a not in servos),
+        *spec.sensors, *spec.tendons, *spec.equalities, *spec.keys, *spec.excludes, *spec.pairs,
+        *(joint for joint in spec.joints if joint.name not in moving),
+        *spec.worldbody.geoms, *spec.lights,
+    ]:  # fmt: skip
+        spec.delete(part)
+    for joint in spec.joints:
+        joint.ref = 0.0
+        if joint.name not in kept:
+            for name in ("damping", "stiffness", "frictionloss"):
+                setattr(joint, name, np.zeros_like(getattr(joint, name)))
+
+
+def _is_position_servo(actuator: mujoco.MjsActuator) -> bool:
+    """Check whether an actuator sends its joint to an angle."""
+    kinds = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtBias.mjBIAS_AFFINE
+    proportional = actuator.gainprm[0] > 0 and actuator.biasprm[1] == -actuator.gainprm[0]
+    return (actuator.trntype, actuator.biastype) == kinds and bool(proportional)
+
+
+def _add_servos(spec: mujoco.MjSpec, of: HeadModel) -> None:
+    """Give each joint without one a critically damped servo, whose body weighs nothing."""
+    model, data = of.model, mujoco.MjData(of.model)
+    data.qpos[:] = resting(model)
+    mujoco.mj_forward(model, data)
+    inertia = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, inertia)
+    driven = {actuator.target for actuator in spec.actuators}
+    for name in moving_joints(of.designed):
+        if name in driven:
+            continue
+        own = inertia[model.joint(name).dofadr[0], model.joint(name).dofadr[0]]
+        kp, kv = own * SERVO_RAD_S**2, 2 * own * SERVO_RAD_S
+        servo = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        servo.set_to_position(kp=kp, kv=kv)
+        for body in spec.bodies[1:]:
+            body.gravcomp = 1.0
+
+
+def _build_eyes(spec: mujoco.MjSpec, of: HeadModel, head: HeadCalibration) -> None:
+    """Move the bases and axes of the eyes to where they are as built."""
+    model, designed, shared = of.model, of.designed, shared_joints(of.designed)
+    for eye, names in designed.eyes.items():
+        chain = head.kinematics.chains[eye]
+        T_base_lbase = designed.T_base_head @ base_pose(designed.head, eye)
+        T_base_built = designed.T_base_head @ base_pose(head, eye)
+        moved = False
+        for name, axis, point in zip(names, chain.axes, chain.points_m, strict=True):
+            body = int(model.jnt_bodyid[model.joint(name).id])
+            own = spec.body(model.body(body).name)
+            T_eye_body = inverse(T_base_lbase) @ _pose_in_base(of, own.name)
+            if not moved and not shared:
+                parent = model.body(model.body_parentid[body]).name
+                T_base_parent = _pose_in_base(of, parent)
+                _place(own, inverse(T_base_parent) @ T_base_built @ T_eye_body)
+                moved = True
+            joint, R = spec.joint(name), T_eye_body[:3, :3]
+            joint.axis = R.T @ axis
+            joint.pos = R.T @ (point - T_eye_body[:3, 3])
+
+
+def _pose_in_base(of: HeadModel, body: str) -> Array:
+    """Compute the pose (4, 4) of a body in the base as designed, with every joint at zero."""
+    return model_chain(of.model, of.designed.base, body, moving_joints(of.designed)).T_base_end
+
+
+def _mount_cameras(
+    spec: mujoco.MjSpec,
+    of: HeadModel,
+    head: HeadCalibration,
+    overscan: dict[str, tuple[int, int]],
+) -> None:
+    """Give the model the cameras of an as-built head, and no others."""
+    designed = of.designed
+    for camera in list(spec.cameras):
+        spec.delete(camera)
+    for name, mounted in head.cameras.items():
+        body = designed.cameras[name]
+        T_base_lbase = designed.T_base_head @ base_pose(designed.head, mounted.eye)
+        T_body_eye = inverse(_pose_in_base(of, body)) @ T_base_lbase
+        # At zero the eye has the axes of its base, and its origin is at the end of the chain.
+        at = pose(t=head.kinematics.chains[mounted.eye].end_m) @ mounted.T_eye_cam
+        camera = spec.body(body).add_camera(name=name)
+        _place(camera, T_body_eye @ at @ pose(R_MJCAM_CAM))
+        intrinsics, size = mounted.intrinsics, np.array(overscan[name])
+        centre = (np.array(intrinsics.size) - 1) / 2
+        camera.resolution = size
+        camera.sensor_size = size * SENSOR_PITCH_M
+        camera.focal_pixel = intrinsics.matrix[[0, 1], [0, 1]]
+        camera.focal_length = [0, 0]
+        camera.principal_pixel = centre - intrinsics.matrix[:2, 2]
 
 
 def check_calibration_of(truth: HeadCalibration, calibration: HeadCalibration) -> None:
@@ -180,53 +324,10 @@ def check_calibration_of(truth: HeadCalibration, calibration: HeadCalibration) -
         )
 
 
-def compile_head(
-    head: HeadCalibration,
-    overscan: dict[str, tuple[int, int]],
-    *,
-    scene: Scene = "room",
-    furnish: Callable[[mujoco.MjSpec], None] | None = None,
-) -> mujoco.MjModel:
-    """Compile a scene with an as-built head, whose lens distortion the renderer adds.
-
-    `overscan` is the width and height [px] to render by camera, at the camera's own focal length;
-    the image lies in the middle of it. `furnish` changes the scene, for example its board.
-    """
-    spec = load_spec(scene)
-    if furnish is not None:
-        furnish(spec)
-    for eye, names in hinges(head.kinematics).items():
-        T = base_pose(head, eye)
-        chain = head.kinematics.chains[eye]
-        # The first joint turns the one body, all others the other.
-        base, outer = spec.body(f"{eye}_pan"), spec.body(f"{eye}_eye")
-        base.pos = T[:3, 3]
-        base.quat = Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True)
-        for name in names[LEAST_JOINTS:]:
-            like = spec.find_default("tilt")
-            outer.add_joint(like, name=name)
-            joint = mujoco.mjtTrn.mjTRN_JOINT
-            spec.add_actuator(like, name=name, target=name, trntype=joint)
-        for name, axis, point in zip(names, chain.axes, chain.points_m, strict=True):
-            hinge = spec.joint(name)
-            hinge.axis = axis
-            hinge.pos = point
-    for name, mounted in head.cameras.items():
-        camera, T = spec.camera(name), mounted.T_eye_cam
-        nominal_width = camera.resolution[0]
-        # Its body stands at the origin of the eye's base, not at the end of the chain.
-        camera.pos = head.kinematics.chains[mounted.eye].end_m + T[:3, 3]
-        camera.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-        R_eye_mjcam = T[:3, :3] @ R_MJCAM_CAM
-        camera.quat = Rotation.from_matrix(R_eye_mjcam).as_quat(scalar_first=True)
-        intrinsics, size = mounted.intrinsics, np.array(overscan[name])
-        centre = (np.array(intrinsics.size) - 1) / 2
-        camera.sensor_size = camera.sensor_size[0] / nominal_width * size
-        camera.resolution = size
-        camera.focal_pixel = intrinsics.matrix[[0, 1], [0, 1]]
-        camera.focal_length = [0, 0]
-        camera.principal_pixel = centre - intrinsics.matrix[:2, 2]
-    return spec.compile()
+def body_in_room(model: mujoco.MjModel, name: str) -> str:
+    """Look up the name that a body of the head has in the model of head and room."""
+    names = {model.body(k).name for k in range(model.nbody)}
+    return PREFIX + name if PREFIX + name in names else name
 
 
 def body_pose(data: mujoco.MjData, name: str) -> Array:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import tomllib
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -19,8 +19,6 @@ from vergence.calibration.lenses import LensModel
 from vergence.errors import VergenceError
 from vergence.files import read_parsed, validated
 
-Lens = Literal["2.8mm", "4.0mm"]
-"""Focal length of the wide cameras."""
 StdDeg = Annotated[float, Field(ge=0, le=10)]
 StdMm = Annotated[float, Field(ge=0, le=50)]
 """Standard deviations of heads that can be built."""

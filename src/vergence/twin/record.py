@@ -9,8 +9,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from pydantic import ConfigDict
-from pydantic.dataclasses import dataclass
 
 from vergence.arrays import Array
 from vergence.data.dataset import LEAST_MOVING
@@ -24,10 +22,10 @@ from vergence.data.description import (
 from vergence.data.reader import load_dataset
 from vergence.data.writer import DatasetRow, write_dataset
 from vergence.errors import VergenceError
-from vergence.files import as_json, check_new, parse_json, read_parsed, validated
+from vergence.files import as_json, check_new
 from vergence.geometry.board import Board, Charuco
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import EYE_JOINTS, EYES, Side
+from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics, Side, same_design
 from vergence.progress import Progress, silent
 from vergence.twin.bag import BagSettings, write_twin_bag
 from vergence.twin.calibration_sequence import (
@@ -38,14 +36,15 @@ from vergence.twin.calibration_sequence import (
     Shot,
     board_as_given,
     carry_out,
+    other_cameras,
     plan,
-    straight_neck,
     visible,
+    within,
 )
 from vergence.twin.evaluation import TRUTH, Truth
 from vergence.twin.head import Twin
-from vergence.twin.model import NECK_JOINTS, nominal_head
-from vergence.twin.profile import ErrorProfile, Lens
+from vergence.twin.head_model import HeadModel, load_head_model
+from vergence.twin.profile import ErrorProfile
 from vergence.twin.renderer import FINE
 from vergence.twin.scene import Scene, put_charuco
 from vergence.twin.sensors import with_sensors
@@ -62,14 +61,6 @@ RATE_HZ = 30.0
 """Rate of the frames with moving eyes [Hz], as of usual cameras."""
 
 
-@dataclass(frozen=True, eq=False, config=ConfigDict(extra="ignore"))
-class StatedJoints:
-    """Joints of the eyes in a dataset.json, whose other fields are not read."""
-
-    kinematics: dict[Side, tuple[EyeJoint, ...]]
-    readings: dict[str, DatasetReading]
-
-
 def record(
     out: Path,
     *,
@@ -77,20 +68,19 @@ def record(
     scene: Scene = "room",
     seed: int = 0,
     frames: int = 60,
-    lens: Lens = "2.8mm",
+    lens: str | None = None,
     target: Target = "chessboard",
     moving: int = 0,
-    kinematics: Path | None = None,
+    head: HeadModel | None = None,
     bag: BagSettings | None = None,
     progress: Progress = silent,
 ) -> int:
     """Record a dataset with its truth into a new or empty folder; return the number of images.
 
     `frames` are taken with the eyes at rest. `moving` frames follow, at RATE_HZ, with moving eyes
-    and the board at rest. `kinematics` is a JSON file with the twin's `kinematics` and `readings`
-    as in dataset.json; None: pan, then tilt. `bag` asks for a bag with the same images in the
-    folder. Progress is called after each frame. VergenceError if an argument is out of range, or
-    the folder cannot be written.
+    and the board at rest. `head` is one that `load_head_model` reads; None: the default one, with
+    one of its lenses. `bag` asks for a bag with the same images in the folder. Progress is called
+    after each frame. VergenceError if an argument is out of range, or the folder cannot be written.
     """
     if not LEAST_FRAMES <= frames <= MOST_FRAMES:
         raise VergenceError(
@@ -102,16 +92,16 @@ def record(
         )
     check_new(out)
     board: Board = CHARUCO if target == "charuco" else BOARD
-    note = f"Recorded on the twin: profile {profile.name}, {lens} lens, seed {seed}."
-    description = _description(lens, board_as_given(profile, board), note, kinematics)
-    joints = description.head_kinematics
+    head = load_head_model(lens=lens) if head is None else head
+    with_lens = f"{head.lens} lens" if head.lens else head.stated.model
+    note = f"Recorded on the twin: profile {profile.name}, {with_lens}, seed {seed}."
+    description = _description(head.designed.head, board_as_given(profile, board), note)
     true_angles: list[Array] = []
     images = 0
     with Twin(
         profile,
+        head=head,
         seed=seed,
-        lens=lens,
-        kinematics=joints,
         scene=scene,
         oversampling=FINE,
         furnish=partial(put_charuco, board=board) if isinstance(board, Charuco) else None,
@@ -137,7 +127,7 @@ def record(
                 T_lbase_target={shot.placement: shot.T_lbase_target for shot in shots},
                 board=board,
                 seed=seed,
-                lens=lens,
+                lens=head.lens,
                 profile=profile,
             )
             (folder / TRUTH).write_text(as_json(truth), encoding="utf-8")
@@ -154,20 +144,22 @@ def record(
 
 def _shots(twin: Twin, board: Board, seed: int, frames: int) -> list[Shot]:
     """Plan the sequence with all the cameras that see enough of the board in each shot."""
-    whole = WIDE_VIEWS + 2 * NARROW_VIEWS + ORIENTATIONS
+    others = len(other_cameras(twin.nominal))
+    whole = WIDE_VIEWS + others * NARROW_VIEWS + ORIENTATIONS
     wide = max(3, round(frames * WIDE_VIEWS / whole))
     narrow = max(3, round(frames * NARROW_VIEWS / whole))
-    views = (wide, narrow, frames - wide - 2 * narrow)
-    shots = plan(twin.nominal, seed, board=board, views=views)
-    shots[-views[2] :] = _verging(twin.nominal, shots[-views[2] :])
+    views = (wide, narrow, frames - wide - others * narrow)
+    shots = plan(twin.nominal, seed, board=board, limits=twin.limits, views=views)
+    shots[-views[2] :] = _verging(twin, shots[-views[2] :])
     return [replace(shot, cameras=_seeing(twin, board, shot)) for shot in shots]
 
 
-def _verging(head: HeadCalibration, shots: list[Shot]) -> list[Shot]:
+def _verging(twin: Twin, shots: list[Shot]) -> list[Shot]:
     """Add vergence to shots of eyes with separate readings.
 
     Exchanged readings of left and right cannot be detected in images of eyes that move alike.
     """
+    head, ranges = twin.nominal, _ranges(twin)
     left, right = (head.kinematics.used(eye) for eye in EYES)
     if set(left) & set(right):
         return shots
@@ -177,7 +169,7 @@ def _verging(head: HeadCalibration, shots: list[Shot]) -> list[Shot]:
         by = 0.03 * np.sin(2.4 * k + np.arange(max(len(left), len(right))))
         readings[left] += by[: len(left)] / head.kinematics.gear_ratios[left]
         readings[right] -= by[: len(right)] / head.kinematics.gear_ratios[right]
-        moved.append(replace(shot, eye_angles=readings))
+        moved.append(replace(shot, eye_angles=np.clip(readings, *ranges.T)))
     return moved
 
 
@@ -195,12 +187,12 @@ def _capture(
     for shot in carry_out(twin, shots, interval_s=0.1):  # each row has its own time stamp
         yield _frame(twin, shot, moving=False)
     if moving:
-        fixed, begin, factors = shots[-1], twin.time_s + 0.6, twin.nominal.kinematics.gear_ratios
-        twin.settle(straight_neck(_sweep(0.0, factors)))
+        fixed, begin = shots[-1], twin.time_s + 0.6
+        twin.settle(twin.posture(_sweep(twin, 0.0)))
         for k in range(moving):
             time_s = k / RATE_HZ
-            twin.advance(begin + time_s, lambda now: straight_neck(_sweep(now - begin, factors)))
-            shot = replace(fixed, eye_angles=_sweep(time_s, factors))
+            twin.advance(begin + time_s, lambda now: twin.posture(_sweep(twin, now - begin)))
+            shot = replace(fixed, eye_angles=_sweep(twin, time_s))
             yield _frame(twin, replace(shot, cameras=_seeing(twin, board, shot)), moving=True)
 
 
@@ -210,36 +202,44 @@ def _frame(twin: Twin, shot: Shot, *, moving: bool) -> tuple[Array, DatasetRow]:
     return true_angles, DatasetRow(frame=frame, placement=shot.placement, moving=moving)
 
 
-def _sweep(time_s: float, factors: Array) -> Array:
+def _ranges(twin: Twin) -> Array:
+    """Look up the ranges (r, 2) [rad] of set points of the readings."""
+    return twin.limits.setpoint_range_rad[len(twin.nominal.neck.axes) :]
+
+
+def _sweep(twin: Twin, time_s: float) -> Array:
     """Compute readings (r,) [rad] of a smooth motion as in Eqs. 22-23, but faster."""
+    factors = twin.nominal.kinematics.gear_ratios
     n = len(factors)
     periods = np.concatenate([[1.0, 1.5, 1.2, 1.8], 2.0 + 0.2 * np.arange(max(0, n - 4))])
     # With 0.2 rad and a phase of 2.5 rad/s as fast as eyes that pursue a hand.
-    return 0.2 * np.cos(2.5 * time_s / periods[:n]) / factors
+    readings = 0.2 * np.cos(2.5 * time_s / periods[:n]) / factors
+    return within(_ranges(twin), readings, 0.2 / factors)
 
 
-def _description(lens: Lens, board: Board, note: str, kinematics: Path | None) -> Description:
-    """Describe the dataset; VergenceError if the file of the joints is not valid."""
+def _description(head: HeadCalibration, board: Board, note: str) -> Description:
+    """Describe the dataset of a head as designed."""
     cameras = {
         name: DatasetCamera(
             eye=mounted.eye, width=mounted.intrinsics.width, height=mounted.intrinsics.height
         )
-        for name, mounted in nominal_head(lens).cameras.items()
+        for name, mounted in head.cameras.items()
     }
-    neck = {name: DatasetJoint(column=name, unit="rad") for name in NECK_JOINTS}
-    if kinematics is None:
-        eyes = {name: DatasetJoint(column=name, unit="rad") for name in EYE_JOINTS}
+    neck = {name: DatasetJoint(column=name, unit="rad") for name in head.neck.names}
+    readings = head.kinematics.readings
+    if readings == EYE_JOINTS and same_design(head.kinematics, Kinematics()):
+        eyes = {name: DatasetJoint(column=name, unit="rad") for name in readings}
         return Description(cameras=cameras, board=board, joints=eyes | neck, note=note)
-
-    def build(content: object) -> Description:
-        stated = validated(content, StatedJoints)
-        return Description(
-            cameras=cameras,
-            board=board,
-            joints=neck,
-            kinematics=stated.kinematics,
-            readings=stated.readings,
-            note=note,
-        )
-
-    return read_parsed(kinematics, "a description of joints", build, parse_json)
+    joints: dict[Side, tuple[EyeJoint, ...]] = {
+        eye: tuple(EyeJoint(each.name, each.axis, each.readings, each.point_m) for each in chain)
+        for eye, chain in head.kinematics.eyes.items()
+        if chain
+    }
+    return Description(
+        cameras=cameras,
+        board=board,
+        joints=neck,
+        kinematics=joints,
+        readings={name: DatasetReading(unit="rad") for name in readings},
+        note=note,
+    )

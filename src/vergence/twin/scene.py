@@ -3,8 +3,6 @@
 # pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
 
-from importlib import resources
-from pathlib import Path
 from typing import Literal
 
 import cv2
@@ -13,6 +11,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.geometry.board import Charuco, opencv_board
+from vergence.twin.head_file import models_folder
 
 Scene = Literal["room", "sparse", "moving"]
 """`room`: a furnished laboratory; `sparse`: plain walls, texture on table and furniture only;
@@ -26,19 +25,12 @@ TEXELS_PER_SQUARE = 128
 """Finer than the narrow cameras resolve, since magnified texels would show as steps. A power of
 two, so that mipmaps are halved evenly and do not shift the corners."""
 BLACK, WHITE = 25, 235
-"""Grey levels, as of the chessboard (models/cbi_head/assets/make_textures.py)."""
+"""Grey levels, as of the chessboard (models/room/assets/make_textures.py)."""
 
 
-def model_folder() -> Path:
-    """Find the MJCF files, in the installed package or in the checkout."""
-    packaged = Path(str(resources.files("vergence"))) / "models" / "cbi_head"
-    return packaged if packaged.is_dir() else Path(__file__).parents[3] / "models" / "cbi_head"
-
-
-def load_spec(scene: Scene = "room") -> mujoco.MjSpec:
-    """Read a scene: the head, a room, the calibration board, the object and the hand."""
-    name = "scene.xml" if scene == "room" else f"scene_{scene}.xml"
-    return mujoco.MjSpec.from_file(str(model_folder() / name))
+def load_room(scene: Scene = "room") -> mujoco.MjSpec:
+    """Read a scene: a room, the calibration board, the object and the hand."""
+    return mujoco.MjSpec.from_file(str(models_folder() / "room" / f"{scene}.xml"))
 
 
 def passer_position(time_s: float) -> Array:

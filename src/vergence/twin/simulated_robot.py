@@ -14,30 +14,25 @@ from copy import copy
 import mujoco
 import numpy as np
 
-from vergence.accuracy.motions import SLOWEST_S
-from vergence.accuracy.motions import eye_angles as motion_angles
+from vergence.accuracy.motions import PERIOD_S, SLOWEST_S, eye_readings
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.gaze.commands import (
     HeadCommand,
-    JointLimits,
     hold,
-    joint_limits,
     setpoint,
 )
 from vergence.gaze.state import GazeSettings
 from vergence.geometry.head import base_pose
-from vergence.geometry.kinematics import EYE_JOINTS, Kinematics
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
 from vergence.progress import Progress, silent
 from vergence.self_calibration.calibrator import VisualGeometry, update_geometry
 from vergence.twin.calibration_errors import inject_calibration_error
-from vergence.twin.calibration_sequence import paper_calibration, straight_neck
+from vergence.twin.calibration_sequence import paper_calibration, within
 from vergence.twin.hand import SimulatedHand
 from vergence.twin.head import Twin
-from vergence.twin.model import NECK_JOINTS
-from vergence.twin.sensors import gains_and_offsets, sensor_columns
+from vergence.twin.sensors import gains_and_offsets
 
 FRAME_S = 0.033
 """Frame period: 30 Hz, in whole milliseconds, because the physics steps in them."""
@@ -52,24 +47,39 @@ _SETTLE_S = 1.0  # before the motion, for the simulated servos to reach its star
 def calibrate_twin(twin: Twin, seed: int, progress: Progress = silent) -> GazeSettings:
     """Calibrate the twin by the paper's method, and return the settings of a gaze controller.
 
-    The twin must have 2.8 mm lenses. The seed is that of the board's poses; progress is called
-    after each view.
+    The seed is that of the board's poses; progress is called after each view.
     """
+    lens = twin.head.lens
+    task = f"calibrating, {lens} lens" if lens else "calibrating"
     found = paper_calibration(
-        twin, seed, progress=lambda _, done, total: progress("calibrating, 2.8mm lens", done, total)
+        twin, seed, progress=lambda _, done, total: progress(task, done, total)
     )
-    head = inject_calibration_error(found.head, twin.profile.by_hand, "2.8mm")
+    head = inject_calibration_error(found.head, twin.profile.by_hand, lens)
     twin.restart(0)
     # A real driver can measure this too: the standard deviation of the readings at rest. Thirty of
-    # each of four joints tell it to 7 %.
+    # each joint tell it to 7 to 13 %.
     rest = np.array([twin.capture(()).eye_angles for _ in range(30)])
     floor = 5e-5  # more would make the filter of a perfect head lag behind what it sees
     std = float(rest.std(axis=0, ddof=1).mean())
     return GazeSettings(
         calibration=head,
-        limits=twin_limits(twin.truth.kinematics),
+        limits=twin.limits,
         reading_std=float(np.hypot(floor, std)),
     )
+
+
+def divergent_motion(twin: Twin) -> Callable[[float], Array]:
+    """Make the function that gives the postures (j,) of a divergent motion within the limits."""
+    kinematics, ranges = twin.nominal.kinematics, twin.limits.setpoint_range_rad
+    ranges = ranges[len(twin.nominal.neck.axes) :]
+    period_s = np.arange(0.0, PERIOD_S["divergent"], 0.5)
+    amplitude = np.abs(eye_readings(kinematics, "divergent", period_s)).max(axis=0)
+
+    def posture(time_s: float) -> Array:
+        readings = eye_readings(kinematics, "divergent", np.array(time_s))
+        return twin.posture(within(ranges, readings, amplitude))
+
+    return posture
 
 
 def look_around(twin: Twin, cameras: Sequence[str], *, run: int) -> Iterator[Frame]:
@@ -79,8 +89,10 @@ def look_around(twin: Twin, cameras: Sequence[str], *, run: int) -> Iterator[Fra
     """
     twin.restart(run)
 
+    motion = divergent_motion(twin)
+
     def command(time_s: float) -> Array:
-        return straight_neck(motion_angles("divergent", FASTER * np.array(time_s - _SETTLE_S)))
+        return motion(FASTER * (time_s - _SETTLE_S))
 
     twin.advance(_SETTLE_S / 2, command(_SETTLE_S))
     for time_s in np.arange(0.0, LOOK_S, LOOK_STEP_S):
@@ -97,26 +109,6 @@ def learn_by_looking(
         geometry = update_geometry(geometry, frame)
         progress("looking around", done, total)
     return geometry
-
-
-def twin_limits(kinematics: Kinematics) -> JointLimits:
-    """Compute the limits of readings from those of the hinges that they turn."""
-    names = [*NECK_JOINTS, *EYE_JOINTS]
-    model = JointLimits(
-        np.radians([(-30, 40), (-30, 30), (-50, 50), (-35, 35), (-30, 30), (-35, 35), (-30, 30)]),
-        np.array([3.0] * 3 + [10.0] * 4),
-        tuple(names),
-    )
-    rows = [model.joints.index(EYE_JOINTS[k]) for k in sensor_columns(kinematics)]
-    names = [*NECK_JOINTS, *kinematics.readings]
-    order = [*range(len(NECK_JOINTS)), *rows]
-    farther = 1 / np.append(np.ones(len(NECK_JOINTS)), kinematics.gear_ratios)
-    ranges = model.range_rad[order] * farther[:, None]
-    return joint_limits(
-        dict(zip(names, map(tuple, ranges.tolist()), strict=True)),
-        dict(zip(names, (model.speed_rad_s[order] * farther).tolist(), strict=True)),
-        joints=names,
-    )
 
 
 class SimulatedHead:
@@ -153,8 +145,8 @@ class SimulatedHead:
         self._T_world_start = twin.T_world_lbase()
         self._T_lbase_head = inverse(base_pose(twin.truth, "left"))
         kinematics = twin.truth.kinematics
-        self._limits = twin_limits(kinematics)
-        self._command = hold(np.zeros(len(self._limits.joints)), self._limits, twin.time_s)
+        self._limits = twin.limits
+        self._command = hold(twin.rest(), self._limits, twin.time_s)
         self._next_s, self._number = twin.time_s, 0
         self._gain, self._offset = gains_and_offsets(twin.profile.joints, kinematics)
 
@@ -223,7 +215,7 @@ def unoccluded(twin: Twin, places_head: Array, *, margin_m: float) -> np.ndarray
     """
     model = copy(twin.model)
     data = mujoco.MjData(model)
-    mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
+    data.qpos[:] = twin.rest_qpos()
     mujoco.mj_forward(model, data)
     # Rays are tested against group 5 only: the world's own geoms, which are the room.
     model.geom_group[:] = np.where(model.geom_bodyid == 0, 5, 0)

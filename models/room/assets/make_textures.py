@@ -2,7 +2,7 @@
 
 Run from anywhere (the PNGs are written beside this file):
 
-    python models/cbi_head/assets/make_textures.py
+    python models/room/assets/make_textures.py
 
 No colour is as red as the object or as blue as the marker, by which these are found. Widths and
 heights are powers of two, so that mipmaps are halved evenly.
