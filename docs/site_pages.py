@@ -25,6 +25,7 @@ DOCUMENTS = {
     "benchmarks/README.md": "benchmarks.md",
     "models/cbi_head/README.md": "model.md",
     "models/shared_tilt_head/README.md": "model_shared_tilt.md",
+    "models/room/README.md": "model_room.md",
 }
 """Documents outside docs/, and the pages of the site that they become."""
 REFERENCE = {
@@ -42,6 +43,7 @@ CONTENTS = {
             "locate",
             "other_joints",
             "gaze",
+            "own_head",
             "own_driver",
             "own_detector",
         ),
@@ -52,7 +54,7 @@ CONTENTS = {
         *("dataset", "calibration_file", "conventions", "equations", "method", "evidence"),
     ),
     "Project": (
-        *("architecture", "security", "model", "model_shared_tilt", "benchmarks"),
+        *("architecture", "security", "model", "model_shared_tilt", "model_room", "benchmarks"),
         *("contributing", "changelog"),
     ),
 }

@@ -19,10 +19,10 @@ from vergence.twin.head import Twin
 from vergence.twin.model import (
     as_built_head,
     body_in_room,
-    body_pose,
     compile_head,
     shared_joints,
 )
+from vergence.twin.model_chain import body_pose
 from vergence.twin.offscreen import Format, Offscreen
 from vergence.twin.profile import Axes, ErrorProfile, Image, Joints, Mounting, Optics
 from vergence.twin.renderer import overscan_sizes

@@ -17,15 +17,15 @@ from vergence.errors import check_seed
 from vergence.geometry.head import HeadCalibration, base_pose
 from vergence.geometry.se3 import inverse, pose, transform
 from vergence.twin import renderer
+from vergence.twin.designed_head import moving_joints
 from vergence.twin.head_model import HeadModel, load_head_model
 from vergence.twin.model import (
     as_built_head,
     body_in_room,
-    body_pose,
     compile_head,
-    moving_joints,
     shared_joints,
 )
+from vergence.twin.model_chain import body_pose
 from vergence.twin.profile import ErrorProfile
 from vergence.twin.renderer import Negative, Renderer, overscan_sizes
 from vergence.twin.scene import PASSER, Scene, passer_position

@@ -16,9 +16,9 @@ from vergence.geometry.head import HeadCalibration, MountedCamera, base_pose, pa
 from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import EYES, Side
 from vergence.geometry.se3 import inverse, pose, rotation
-from vergence.twin.designed_head import R_MJCAM_CAM, DesignedHead
+from vergence.twin.designed_head import R_MJCAM_CAM, DesignedHead, moving_joints
 from vergence.twin.head_model import HeadModel
-from vergence.twin.model_chain import model_chain, resting
+from vergence.twin.model_chain import at_rest, body_pose, model_chain
 from vergence.twin.profile import ErrorProfile
 from vergence.twin.scene import Scene, load_room
 
@@ -91,12 +91,6 @@ def shared_joints(designed: DesignedHead) -> tuple[str, ...]:
     """List the model's joints that move both eyes, from the base outwards."""
     left, right = (designed.eyes.get(eye, ()) for eye in EYES)
     return tuple(name for name in left if name in right)
-
-
-def moving_joints(designed: DesignedHead) -> list[str]:
-    """List the model's joints that move: the neck's and the eyes', each once."""
-    eyes = [name for eye in EYES for name in designed.eyes.get(eye, ())]
-    return list(dict.fromkeys([*designed.neck, *eyes]))
 
 
 def compile_head(
@@ -179,22 +173,13 @@ def _let_stand_still(spec: mujoco.MjSpec, of: HeadModel) -> None:
     stands in the world of the model is deleted too.
     """
     model, moving = of.model, moving_joints(of.designed)
-    data = mujoco.MjData(model)
-    data.qpos[:] = resting(model)
-    changed = set()
-    for k in range(model.njnt):
-        joint, first = model.joint(k), model.jnt_qposadr[k]
-        if joint.name in moving:
-            data.qpos[first] = 0.0
-        elif model.jnt_type[k] == mujoco.mjtJoint.mjJNT_FREE:
-            data.qpos[first : first + 7] = model.qpos0[first : first + 7]
-            continue
-        if (data.qpos[first : first + 4] != model.qpos0[first : first + 4]).any():
-            changed.add(int(model.jnt_bodyid[k]))
-    mujoco.mj_kinematics(model, data)
-    for k in changed:
-        parent = body_pose(data, model.body(model.body_parentid[k]).name)
-        _place(spec.body(model.body(k).name), inverse(parent) @ body_pose(data, model.body(k).name))
+    data = at_rest(model, moving)
+    for k in np.flatnonzero(data.qpos != model.qpos0):
+        joint = int(np.flatnonzero(model.jnt_qposadr <= k)[-1])
+        body = model.body(model.jnt_bodyid[joint])
+        if model.jnt_type[joint] != int(mujoco.mjtJoint.mjJNT_FREE):
+            parent = body_pose(data, model.body(body.parentid[0]).name)
+            _place(spec.body(body.name), inverse(parent) @ body_pose(data, body.name))
     servos = [
         actuator
         for actuator in spec.actuators
@@ -224,8 +209,7 @@ def _is_position_servo(actuator: mujoco.MjsActuator) -> bool:
 
 def _add_servos(spec: mujoco.MjSpec, of: HeadModel) -> None:
     """Give each joint without one a critically damped servo, whose body weighs nothing."""
-    model, data = of.model, mujoco.MjData(of.model)
-    data.qpos[:] = resting(model)
+    model, data = of.model, at_rest(of.model, moving_joints(of.designed))
     mujoco.mj_forward(model, data)
     inertia = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, inertia)
@@ -328,9 +312,3 @@ def body_in_room(model: mujoco.MjModel, name: str) -> str:
     """Look up the name that a body of the head has in the model of head and room."""
     names = {model.body(k).name for k in range(model.nbody)}
     return PREFIX + name if PREFIX + name in names else name
-
-
-def body_pose(data: mujoco.MjData, name: str) -> Array:
-    """Compute the pose (4, 4) of a body in the world."""
-    body = data.body(name)
-    return pose(body.xmat.reshape(3, 3), body.xpos)
