@@ -23,7 +23,6 @@ from vergence.paper.figures import FIGURES, WIDE, default_duration_s
 from vergence.paper.replay import SAMPLES, sample_times
 from vergence.paper.reproduce import SAMPLES_WITH_IMAGES, record_replay
 from vergence.twin.head import Twin
-from vergence.twin.model import CAMERAS
 from vergence.twin.profile import load_profile
 from vergence.twin.renderer import overscan_sizes
 
@@ -45,7 +44,7 @@ def bare_seconds(twin: Twin, times_s: Array) -> float:
     for index, posture in enumerate(angles):
         data.qpos[eyes] = posture
         mujoco.mj_forward(model, data)
-        for name in CAMERAS if index % every == 0 else WIDE:
+        for name in twin.truth.cameras if index % every == 0 else WIDE:
             renderers[sizes[name]].update_scene(data, camera=name)
             renderers[sizes[name]].render()
     seconds = time.perf_counter() - start

@@ -14,9 +14,10 @@ from vergence.cli.terminal import plain_ending
 from vergence.files import whole_file
 from vergence.geometry.head import save_head
 from vergence.geometry.se3 import angle, inverse
+from vergence.paper.figures import Lens
 from vergence.twin.calibration_sequence import carry_out, paper_calibration, plan
 from vergence.twin.head import Twin
-from vergence.twin.profile import Lens, load_profile
+from vergence.twin.profile import load_profile
 
 OUT = Path("runs/calibration")
 SHOWN = 6  # views of the fixed board in the picture, as many as in the paper's Fig. 4

@@ -34,7 +34,8 @@ from vergence.progress import Progress, silent
 from vergence.stereo.extrinsics import rebase, relative_camera_pose
 from vergence.stereo.triangulation import Status
 from vergence.stereo.uncertainty import locate
-from vergence.twin.profile import Lens
+from vergence.paper.figures import Lens
+from vergence.twin.profile import 
 from vergence.viewer.plots.canvas import BLUE, GREEN, RED, panels, save
 
 # The point model: without images and calibration, the believed head differs from the true one by
