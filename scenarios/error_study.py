@@ -29,13 +29,11 @@ from vergence.geometry.head import R_EYE_CAM, HeadCalibration, MountedCamera
 from vergence.geometry.kinematics import EYES, straight_gaze
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import pose, rotation
-from vergence.paper.figures import FIGURES, WIDE, Figure
+from vergence.paper.figures import FIGURES, WIDE, Figure, Lens
 from vergence.progress import Progress, silent
 from vergence.stereo.extrinsics import rebase, relative_camera_pose
 from vergence.stereo.triangulation import Status
 from vergence.stereo.uncertainty import locate
-from vergence.paper.figures import Lens
-from vergence.twin.profile import 
 from vergence.viewer.plots.canvas import BLUE, GREEN, RED, panels, save
 
 # The point model: without images and calibration, the believed head differs from the true one by
