@@ -29,8 +29,8 @@ from vergence.recordings.stamps import read_stamps
 from vergence.recordings.video import VIDEO_SUFFIXES, open_video
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".ppm", ".pgm", ".bmp", ".tif", ".tiff", ".webp")
-MAX_TABLE_BYTES, MAX_CELLS = 2**28, 30_000_000
-"""Largest csv [bytes, cells]; twenty joints at 100 Hz for three hours have 200 MB."""
+MAX_TABLE_BYTES, MAX_CELLS = 2**27, 20_000_000
+"""Largest csv [bytes, cells]; ten joints at 100 Hz for three hours have 110 MB in 12 million."""
 _TIME = re.compile(r"time|stamp|(^|[^a-z])(ts?|secs?|seconds|[mun]s)([^a-z]|$)")
 _STAMPS = r"([/_.-]?(time|stamp|frame)\w*)?"
 """What may follow the name of images in the name of a csv of their stamps."""

@@ -23,8 +23,8 @@ from vergence.recordings.stamps import nanoseconds
 from vergence.recordings.video import open_video
 
 DATA, INFO = "data.log", "info.log"
-MAX_LOG_BYTES, MAX_LINES = 2**27, 3_000_000
-"""Largest data.log [bytes, lines]; six joints at 100 Hz for six hours have 120 MB in 2 million."""
+MAX_LOG_BYTES, MAX_LINES = 10**8, 2_000_000
+"""Largest data.log [bytes, lines]; five hours of six joints at 100 Hz have 1.8 million lines."""
 MAX_LATENCY_S = 60.0
 """Longest time [s] between sending and receiving. Two numbers that are closer, and count from 1970
 as no reading of a joint does, are two stamps."""
