@@ -22,7 +22,7 @@ from vergence.geometry.board import (
     described,
     marker_family,
 )
-from vergence.vision.april_grid import read_grid_markers
+from vergence.vision.april_grid import LEAST_MARKERS, read_grid
 from vergence.vision.board_detection import detect_board, ends_inside, upsampled
 from vergence.vision.board_pose import LEAST_CORNERS
 from vergence.vision.marker_layout import (
@@ -42,19 +42,17 @@ def why_not_found(grey: np.ndarray, board: Board) -> str:
     """Say why a board is not found in a sharp image (H, W), by what is seen of any board."""
     if isinstance(board, CircleGrid):
         return "the board was not found; all its circles must be visible"
-    if isinstance(board, (Charuco, AprilGrid)):
-        large = upsampled(grey)[0]
-        if isinstance(board, Charuco):
-            quads, ids = read_markers(large, board.dictionary)
-            if contradicts(marker_pairs(quads, ids), board):
-                return ANOTHER
-        else:
-            ids = read_grid_markers(large, board)[1]
-        if len(ids) > LEAST_CORNERS and isinstance(board, AprilGrid):
+    if isinstance(board, AprilGrid):
+        ids = read_grid(upsampled(grey)[0], board)[1]
+        if len(ids) >= LEAST_MARKERS:
             return ANOTHER
-        if len(ids):
-            return f"only {counted(len(ids), 'marker')} of the board could be read"
-        return f"no marker of {board.dictionary} could be read"
+    elif isinstance(board, Charuco):
+        quads, ids = read_markers(upsampled(grey)[0], board.dictionary)
+        if contradicts(marker_pairs(quads, ids), board):
+            return ANOTHER
+    if isinstance(board, (Charuco, AprilGrid)):
+        count = counted(len(ids), "marker") if len(ids) else "no marker"
+        return f"{count} of {board.dictionary} could be read"
     grid = _largest_grid(grey)
     if grid is None:
         return "the board was not found"
@@ -120,7 +118,8 @@ def _largest_grid(grey: np.ndarray) -> np.ndarray | None:
 
 def _candidates(images: Sequence[np.ndarray], board: Board) -> Iterator[Board]:
     """Yield boards that images (H, W) may show: with markers, then without."""
-    yield from _alike(board)
+    if isinstance(board, AprilGrid):
+        yield replace(board, rows_from_below=not board.rows_from_below)
     sides = board.square_m, board.square_y_m, board.square_std_m
     plain, families = Chessboard(board.columns, board.rows, *sides), {}
     for name in sorted(DICTIONARIES, key=lambda name: len(marker_family(name).bytesList)):
@@ -147,20 +146,6 @@ def _candidates(images: Sequence[np.ndarray], board: Board) -> Iterator[Board]:
             sizes[tuple(sorted(grid.shape[:2], reverse=board.columns >= board.rows))] += 1
     for (columns, rows), _ in sizes.most_common():
         yield replace(plain, columns=columns, rows=rows)
-
-
-def _alike(board: Board) -> Iterator[Board]:
-    """Yield boards whose description is easily taken for that of a board."""
-    if isinstance(board, AprilGrid):
-        exchanged = replace(board, tags_x=board.tags_y, tags_y=board.tags_x)
-        for each in (board, exchanged):
-            yield replace(each, rows_from_below=not board.rows_from_below)
-        yield exchanged
-    if isinstance(board, CircleGrid):
-        exchanged = replace(board, columns=board.rows, rows=board.columns)
-        yield exchanged
-        for each in (board, exchanged):
-            yield replace(each, asymmetric=not board.asymmetric)
 
 
 def _family(dictionary: str) -> str:

@@ -114,9 +114,8 @@ class AprilGrid:
     rows_from_below: bool = True
     """Whether the first row is the lowest one, as Kalibr's, and not the highest, as OpenCV's."""
     square_y_m: PositiveFloat | None = None
-    """As square_m, along a column, where the printer has stretched the board; None: the same."""
     square_std_m: PositiveFloat | None = None
-    """Standard deviation of the stated distance [m]; None: a hundredth of it."""
+    """As of a chessboard."""
     kind: Literal["aprilgrid"] = "aprilgrid"
 
     def __post_init__(self) -> None:
@@ -152,9 +151,8 @@ class CircleGrid:
     asymmetric: bool = False
     """Whether every other row is shifted by half the distance of its spots, as OpenCV's 4 x 11."""
     square_y_m: PositiveFloat | None = None
-    """Distance of two rows [m], where the printer has stretched the board; None: the same."""
     square_std_m: PositiveFloat | None = None
-    """Standard deviation of the stated distance [m]; None: a hundredth of it."""
+    """As of a chessboard."""
     kind: Literal["circles"] = "circles"
 
     def __post_init__(self) -> None:
@@ -166,12 +164,10 @@ Board = Chessboard | Charuco | AprilGrid | CircleGrid
 
 def described(board: Board) -> str:
     """Name a board by its kind and counts."""
-    if isinstance(board, AprilGrid):
-        return f"{board.kind} of {board.tags_x} x {board.tags_y} markers"
+    what = "inner corners"
     if isinstance(board, CircleGrid):
-        kind = "asymmetric" if board.asymmetric else "symmetric"
-        return f"{kind} grid of {board.columns} x {board.rows} circles"
-    return f"{board.kind} of {board.columns} x {board.rows} inner corners"
+        what = "in asymmetric rows" if board.asymmetric else "in rows"
+    return f"{board.kind} of {board.columns} x {board.rows} {what}"
 
 
 def _check_markers(board: Charuco | AprilGrid, last: int) -> None:

@@ -15,12 +15,11 @@ from vergence.geometry.board import CircleGrid, corner_points
 from vergence.vision.corner_refinement import smooth_map
 
 LEAST_AREA_PX = 12.0
-"""Least area of a spot; smaller ones have no centre of use."""
-OUTLINE = 32
-"""Points on the outline of a spot."""
+"""Least area of a spot [px^2]; smaller ones have no centre of use."""
+OUTLINE = np.exp(2j * np.pi * np.arange(32) / 32)
+"""Points on the outline of a spot, about its centre and in its radius, as complex numbers."""
 AROUND = 1.35
-"""Radius within which grey levels count for a spot, in its own: beyond its blur, before the next.
-"""
+"""Radius within which grey levels count, in that of the spot: beyond its blur, before the next."""
 ROUNDS = 3
 """Rounds of centres, map and outlines: the third changes nothing by 0.001 px."""
 
@@ -33,7 +32,7 @@ def detect_circle_grid(grey: np.ndarray, board: CircleGrid) -> Array | None:
     for image in (grey, 255 - grey):
         found = _find(image, board)
         if found is not None:
-            return _centres(image.astype(float), _right_handed(found, board), board)
+            return _centres(image, _right_handed(found, board).reshape(-1, 2), board)
     return None
 
 
@@ -54,72 +53,51 @@ def _find(grey: np.ndarray, board: CircleGrid) -> Array | None:
 
 def _right_handed(grid: Array, board: CircleGrid) -> Array:
     """Number spots as they are seen from the front, from the upper left where turns look alike."""
-    along, down = grid[:, -1] - grid[:, 0], grid[-1] - grid[0]
-    (ax, ay), (dx, dy) = along.mean(axis=0), down.mean(axis=0)
-    if ax * dy - ay * dx < 0:
+    along, down = (grid[:, -1] - grid[:, 0]).mean(axis=0), (grid[-1] - grid[0]).mean(axis=0)
+    if along[0] * down[1] < along[1] * down[0]:
         grid = grid[::-1]  # a mirror image; the pattern is its own
-    quarters = [0, 2]
-    if board.asymmetric:
-        quarters = [0] if board.rows % 2 else [0, 2]
-    elif board.rows == board.columns:
-        quarters = [0, 1, 2, 3]
-    return min((np.rot90(grid, q) for q in quarters), key=lambda each: float(each[0, 0].sum()))
+    if board.asymmetric and board.rows % 2:
+        return grid
+    step = 1 if board.rows == board.columns and not board.asymmetric else 2
+    turned = [np.rot90(grid, quarter) for quarter in range(0, 4, step)]
+    return min(turned, key=lambda each: float(each[0, 0].sum()))
 
 
-def _centres(grey: Array, grid: Array, board: CircleGrid) -> Array | None:
-    """Refine the centres (K, 2) [px] of dark spots about rough ones (rows, columns, 2)."""
-    places = corner_points(board)[:, :2] / board.square_m
-    spots, corners = grid.reshape(-1, 2), grid.reshape(-1, 2)
-    phase = np.arange(OUTLINE) * 2 * np.pi / OUTLINE
-    circle = np.stack([np.cos(phase), np.sin(phase)], axis=-1)
-    radius = 0.25 * (2**0.5 if board.asymmetric else 1.0)
+def _centres(grey: np.ndarray, spots: Array, board: CircleGrid) -> Array | None:
+    """Refine the centres (K, 2) [px] of dark spots about rough ones; None: one is cut off."""
+    places, corners = corner_points(board)[:, :2] / board.square_m, spots
+    radius = (0.7 if board.asymmetric else 0.5) / AROUND  # halfway to the next spot
     for _ in range(ROUNDS):
-        outlines = smooth_map(places, corners, (places[:, None] + radius * circle).reshape(-1, 2))
-        outlines = outlines.reshape(-1, OUTLINE, 2)
-        if not np.isfinite(outlines).all():
-            return None
-        areas, middles = _polygons(outlines)
-        measured = [
-            _weighed(grey, spot, AROUND * (outline - middle))
-            for spot, outline, middle in zip(spots, outlines, middles, strict=True)
-        ]
-        spots = np.array([centre for centre, _ in measured])
-        seen = np.array([area for _, area in measured])
-        if not np.isfinite(spots).all():
-            return None
-        radius *= float(np.sqrt(np.median(seen / areas)))
-        corners = spots - (middles - smooth_map(places, corners, places))
+        circle = radius * np.stack([OUTLINE.real, OUTLINE.imag], axis=-1)
+        outlines = smooth_map(places, corners, (places[:, None] + circle).reshape(-1, 2))
+        outlines = outlines.reshape(len(places), -1, 2)
+        outlines -= smooth_map(places, corners, places)[:, None]
+        drawn = np.array([_moments(each) for each in outlines])
+        around = spots[:, None] + AROUND * (outlines - drawn[:, None, :2])
+        if not ((around > 1) & (around < np.array(grey.shape[::-1]) - 2)).all():
+            return None  # also of what is not finite
+        seen = np.array([_moments(*_darkness(grey, each)) for each in around])
+        spots, corners = seen[:, :2], seen[:, :2] - drawn[:, :2]
+        radius *= float(np.sqrt(np.median(seen[:, 2] / drawn[:, 2])))
     return corners
 
 
-def _polygons(outlines: Array) -> tuple[Array, Array]:
-    """Compute areas (K,) and centroids (K, 2) of polygons (K, n, 2)."""
-    following = np.roll(outlines, -1, axis=1)
-    crossed = outlines[..., 0] * following[..., 1] - outlines[..., 1] * following[..., 0]
-    area = crossed.sum(axis=1) / 2
-    moments = ((outlines + following) * crossed[..., None]).sum(axis=1)
-    return np.abs(area), moments / (6 * area[:, None])
+def _moments(of: Array, offset: Array | float = 0.0) -> Array:
+    """Compute centroid and area (3,) [px] of a polygon (n, 2), or of an image from an offset on."""
+    m = cv2.moments(of.astype(np.float32))
+    centre = np.array([m["m10"], m["m01"]]) / (m["m00"] or np.nan) + offset
+    return np.append(centre, m["m00"])
 
 
-def _weighed(grey: Array, centre: Array, outline: Array) -> tuple[Array, float]:
-    """Compute the centroid (2,) [px] and area [px^2] of darkness within an outline (n, 2) about it.
-
-    NaN where the image ends.
-    """
-    around = (centre + outline).astype(np.float32)
-    left, top = np.floor(around.min(axis=0)).astype(int) - 1
-    right, bottom = np.ceil(around.max(axis=0)).astype(int) + 2
-    if left < 0 or top < 0 or right > grey.shape[1] or bottom > grey.shape[0]:
-        return np.full(2, np.nan), np.nan
-    part = grey[top:bottom, left:right]
-    inside = np.zeros(part.shape, np.uint8)
-    cv2.fillPoly(inside, [np.round(around - [left, top]).astype(np.int32)], 1)
+def _darkness(grey: np.ndarray, outline: Array) -> tuple[Array, Array]:
+    """Compute how dark pixels within an outline (n, 2) are, from 0 to 1, and where they begin."""
+    left, top = np.floor(outline.min(axis=0)).astype(int)
+    width, height = np.ceil(outline.max(axis=0)).astype(int) + 1 - [left, top]
+    part, inside = (
+        grey[top : top + height, left : left + width],
+        np.zeros((height, width), np.uint8),
+    )
+    cv2.fillPoly(inside, [np.round(outline - [left, top]).astype(np.int32)], 1)
     edge = inside - cv2.erode(inside, np.ones((3, 3), np.uint8), borderValue=0)
-    v, u = np.nonzero(inside)
-    white = np.median(part[edge > 0])
-    black = np.percentile(part[inside > 0], 10)
-    darkness = (white - part[v, u]) / max(white - black, 1.0)
-    total = darkness.sum()
-    return np.array(
-        [left + (u * darkness).sum() / total, top + (v * darkness).sum() / total]
-    ), total
+    white, black = np.median(part[edge > 0]), np.percentile(part[inside > 0], 10)
+    return inside * (white - part) / max(white - black, 1.0), np.array([left, top])

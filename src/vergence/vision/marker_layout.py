@@ -33,17 +33,20 @@ class MarkerPairs:
 
 
 def read_markers(
-    grey: np.ndarray, dictionary: str, most: int | None = None
+    grey: np.ndarray, dictionary: str, most: int | None = None, *, border: int = 1
 ) -> tuple[list[np.ndarray], np.ndarray]:
     """Read the markers of a family in an image (H, W): corners (4, 2) [px] and numbers (N,).
 
-    `most` restricts the family to its first markers, to save time.
+    `most` restricts the family to its first markers, to save time; a marker's black frame is
+    `border` modules wide.
     """
     family = marker_family(dictionary)
     first = cv2.aruco.Dictionary(
         family.bytesList[:most], family.markerSize, family.maxCorrectionBits
     )
-    quads, ids, _ = cv2.aruco.ArucoDetector(first).detectMarkers(grey)
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.markerBorderBits = border
+    quads, ids, _ = cv2.aruco.ArucoDetector(first, parameters).detectMarkers(grey)
     numbers = np.empty(0, int) if ids is None else np.asarray(ids, int).ravel()
     return [np.reshape(quad, (4, 2)) for quad in quads], numbers
 
