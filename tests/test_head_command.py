@@ -11,8 +11,7 @@ from rrd import assert_valid, read_series
 from vergence import cli
 from vergence.errors import VergenceError
 from vergence.twin.head_file import load_head_file
-from vergence.twin.head_guess import completed
-from vergence.twin.model_file import load_model
+from vergence.twin.head_model import load_head_model
 
 EYE = """
 <body name="{0}_pan" pos="0 {1} 0"><joint name="{0}_pan" axis="0 0 1"/><body name="{0}_eye">
@@ -49,9 +48,8 @@ def test_a_head_is_described_once_and_the_description_makes_the_same_head(tmp_pa
     assert described.read_bytes() == before
     stated, path = load_head_file(described)
     assert path.resolve() == model.resolve()
-    full = completed(stated, load_model(path).compile())
-    assert full.eyes == stated.eyes
-    assert full.neck == stated.neck == ()
+    assert load_head_model(described).stated.eyes == stated.eyes
+    assert stated.neck == ()
 
 
 @pytest.mark.render

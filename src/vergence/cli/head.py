@@ -8,8 +8,6 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from vergence.cli.options import Optional, Positional, check_outputs
 from vergence.cli.report import Report
 from vergence.cli.terminal import invocation
@@ -18,9 +16,9 @@ from vergence.files import markdown_table, results_folder, whole_file, write_who
 
 if TYPE_CHECKING:
     from vergence.twin.designed_head import DesignedHead
-    from vergence.twin.head_file import HeadFile
 
 RESULTS = "head.png", "head.rrd", "report.md"
+HEADING = "# Written by `vergence head`; docs/own_head.md explains the fields."
 
 
 def head(model: Positional[Path], /, *, out: Optional[Path] = None) -> Report:
@@ -30,24 +28,19 @@ def head(model: Positional[Path], /, *, out: Optional[Path] = None) -> Report:
         model: MJCF or URDF file; or a head.toml, which is completed, checked and shown.
         out: Folder for a picture and a recording of the head with axes and views.
     """
-    from vergence.twin.designed_head import designed_head, moving_joints
+    from vergence.twin.designed_head import moving_joints
     from vergence.twin.head_checks import disagreement, doubts, picture, sweep
-    from vergence.twin.head_file import HeadFile, load_head_file
-    from vergence.twin.head_guess import completed
-    from vergence.twin.head_lens import lens_of
-    from vergence.twin.model_file import load_model
+    from vergence.twin.head_model import load_head_model
 
     target = model.parent / "head.toml" if model.suffix != ".toml" else None
     check_outputs(target, folder=out, names=RESULTS, inputs=[model])
     if target is not None and target.exists():
         typed = invocation("vergence", "head", target)
         raise VergenceError(f"{target} exists and is not overwritten; type {typed} to check it.")
-    stated, path = (HeadFile(model=model.name), model) if target else load_head_file(model)
-    compiled = load_model(path).compile()
-    full = completed(stated, compiled)
-    lenses = {name: lens_of(full, model.parent, name, compiled) for name in full.cameras}
-    found, text, files = designed_head(compiled, full, lenses), as_toml(full), []
-    report = _report(found, text, disagreement(compiled, found), doubts(full, found))
+    found = load_head_model(model)
+    lines = as_toml(found.stated.model_dump(exclude_unset=True))
+    text, files = "\n".join([HEADING, *lines, ""]), []
+    report = _report(found.designed, text, disagreement(found), doubts(found))
     if target is not None:
         write_whole(target, text)
         files.append(f"Wrote {target}.")
@@ -58,11 +51,12 @@ def head(model: Positional[Path], /, *, out: Optional[Path] = None) -> Report:
         from vergence.viewer.head import record_head
 
         with results_folder(out):
-            moved = sweep(compiled, found), moving_joints(found), report.markdown()
-            record_head(out / "head.rrd", found.head, visual_geoms(compiled), *moved)
+            moved = sweep(found), moving_joints(found.designed), report.markdown()
+            geoms = visual_geoms(found.model)
+            record_head(out / "head.rrd", found.designed.head, geoms, *moved)
             write_whole(out / "report.md", report.markdown())
             with whole_file(out / "head.png") as part:
-                Image.fromarray(picture(compiled, found)).save(part, format="png")
+                Image.fromarray(picture(found)).save(part, format="png")
         files.append(f"To view the recording: {invocation('rerun', out / 'head.rrd')}")
     return Report(report.title, report.parts, report.data, files="\n".join(files))
 
@@ -79,7 +73,7 @@ def _report(found: DesignedHead, toml: str, error: float, remarks: list[str]) ->
     rows = [
         (
             name,
-            "({:.3g}, {:.3g}, {:.3g})".format(*np.round(axis, 9) + 0.0),
+            "({:.3g}, {:.3g}, {:.3g})".format(*axis.round(9) + 0.0),
             " ".join(f"{factor:+.4g} {reading}" for reading, factor in readings.items()),
         )
         for name, (axis, readings) in axes.items()
@@ -96,23 +90,18 @@ def _report(found: DesignedHead, toml: str, error: float, remarks: list[str]) ->
     return Report("Head of a model", parts, data | more)
 
 
-def as_toml(stated: HeadFile) -> str:
-    """Format a complete description."""
-    plain = stated.model_dump(exclude_unset=True)
-    tables = {key: plain.pop(key) for key in ("eyes", "cameras") if key in plain}
-    lines = ["# Written by `vergence head`; docs/own_head.md explains the fields.", *_pairs(plain)]
-    lines += ["", "[eyes]", *_pairs(tables.get("eyes", {}))]
-    for name, camera in tables.get("cameras", {}).items():
-        lines += ["", f"[cameras.{_key(name)}]", *_pairs(camera)]
-    return "\n".join(lines) + "\n"
-
-
-def _pairs(values: Mapping[str, Any]) -> Iterator[str]:
-    """Format keys and values; TOML writes strings, numbers and arrays as JSON does."""
+def as_toml(values: Mapping[str, Any], table: str = "") -> Iterator[str]:
+    """Yield the lines of a TOML file, or of one of its tables."""
+    inner = {key: value for key, value in values.items() if isinstance(value, Mapping)}
+    if table and (len(inner) < len(values) or not values):
+        yield from ("", f"[{table}]")
     for key, value in values.items():
-        if value is not None:
-            plain = value.tolist() if isinstance(value, np.ndarray) else value
+        if key not in inner and value is not None:
+            plain = getattr(value, "tolist", lambda same=value: same)()  # of an array
+            # TOML writes strings, numbers and arrays as JSON does.
             yield f"{_key(key)} = {json.dumps(plain, ensure_ascii=False)}"
+    for key, value in inner.items():
+        yield from as_toml(value, f"{table}.{_key(key)}".lstrip("."))
 
 
 def _key(name: str) -> str:

@@ -17,7 +17,7 @@ from vergence.geometry.neck import head_pose
 from vergence.geometry.se3 import inverse, transform
 from vergence.twin import no_opengl
 from vergence.twin.designed_head import DesignedHead, moving_joints
-from vergence.twin.head_file import HeadFile
+from vergence.twin.head_model import HeadModel
 from vergence.twin.model_chain import at_rest, body_pose
 
 WAVE_RAD = 0.3 * np.sin(np.linspace(0, 2 * np.pi, 24))
@@ -30,34 +30,33 @@ SIZE_PX = 960, 720
 """Width and height of the picture."""
 
 
-def pose_joints(
-    model: mujoco.MjModel, designed: DesignedHead, readings: Array, neck: Array
-) -> mujoco.MjData:
+def pose_joints(of: HeadModel, readings: Array, neck: Array) -> mujoco.MjData:
     """Place all bodies at readings (r,) and angles (n,) of the neck [rad]."""
-    data = at_rest(model, ())
+    designed, data = of.designed, at_rest(of.model, ())
     for joint, angle in zip(designed.neck, neck, strict=True):
         data.joint(joint).qpos[0] = angle
     for eye, joints in designed.eyes.items():
         angles = eye_joint_angles(designed.head.kinematics, eye, readings)
         for joint, angle in zip(joints, angles, strict=True):
             data.joint(joint).qpos[0] = angle
-    mujoco.mj_kinematics(model, data)
+    mujoco.mj_kinematics(of.model, data)
     return data
 
 
-def disagreement(model: mujoco.MjModel, designed: DesignedHead) -> float:
+def disagreement(of: HeadModel) -> float:
     """Compare the head's kinematics with MuJoCo's at 20 random postures of eyes and neck.
 
     Returns the largest difference of an element of a camera's pose in frame body. Readings and
     angles are within 1 rad.
     """
-    head, rng, differences = designed.head, np.random.default_rng(0), []
+    designed, head, differences = of.designed, of.designed.head, []
     r, n = len(head.kinematics.readings), len(designed.neck)
-    straight = body_pose(at_rest(model, moving_joints(designed)), designed.base)
-    T_body_world = head_pose(head.neck, np.zeros(n)) @ inverse(straight @ designed.T_base_head)
+    T_head_world = _straight(of)
+    T_body_world = head_pose(head.neck, np.zeros(n)) @ T_head_world
+    rng = np.random.default_rng(0)
     for _ in range(20):
         readings, neck = rng.uniform(-1, 1, r), rng.uniform(-1, 1, n)
-        data = pose_joints(model, designed, readings, neck)
+        data = pose_joints(of, readings, neck)
         for name, mounted in head.cameras.items():
             T_world_cam = body_pose(data, designed.cameras[name]) @ designed.T_body_cam[name]
             T_head_cam = base_pose(head, mounted.eye) @ camera_pose_in_base(head, name, readings)
@@ -65,15 +64,21 @@ def disagreement(model: mujoco.MjModel, designed: DesignedHead) -> float:
     return float(np.abs(differences).max())
 
 
-def doubts(stated: HeadFile, designed: DesignedHead) -> list[str]:
-    """Say what the user should check of a head whose complete description is `stated`."""
-    found, links = [], [name for name, camera in stated.cameras.items() if camera.body is not None]
+def _straight(of: HeadModel) -> Array:
+    """Compute the pose (4, 4) of the world in frame head with a straight neck."""
+    data = at_rest(of.model, moving_joints(of.designed))
+    return inverse(body_pose(data, of.designed.base) @ of.designed.T_base_head)
+
+
+def doubts(of: HeadModel) -> list[str]:
+    """Say what the user should check of a head."""
+    found, links = [], [name for name, camera in of.stated.cameras.items() if camera.body]
     if links:
         found.append(
             f"Links are taken for cameras: {listed(links)}. Check where they look (pos_m, forward, "
             "up), and state their lenses (fov_deg or camera_info)."
         )
-    if min(map(len, designed.eyes.values())) < 2:
+    if min(map(len, of.designed.eyes.values())) < 2:
         found.append("An eye with one joint can look, but its calibration needs a second axis.")
     return found
 
@@ -91,16 +96,15 @@ class View(NamedTuple):
     """(k, 2, 3) [m] both ends of the axes of the neck's joints, then of the eyes'."""
 
 
-def sweep(model: mujoco.MjModel, designed: DesignedHead) -> Iterator[View]:
-    """Move each joint of the neck and each reading of the eyes in turn."""
-    n, r = len(designed.neck), len(designed.head.kinematics.readings)
-    straight = body_pose(at_rest(model, moving_joints(designed)), designed.base)
-    T_head_world = inverse(straight @ designed.T_base_head)
-    names = [model.body(b).name for b in range(1, model.nbody)]
-    for posture in np.kron(np.eye(n + r), WAVE_RAD[:, None]):
-        data = pose_joints(model, designed, posture[n:], posture[:n])
+def sweep(of: HeadModel) -> Iterator[View]:
+    """Move each joint of the neck and each reading of the eyes in turn, within its limits."""
+    n, T_head_world = len(of.designed.neck), _straight(of)
+    names = [of.model.body(b).name for b in range(1, of.model.nbody)]
+    each = np.eye(len(of.limits.joints))
+    for posture in np.clip(np.kron(each, WAVE_RAD[:, None]), *of.limits.setpoint_range_rad.T):
+        data = pose_joints(of, posture[n:], posture[:n])
         bodies = {name: T_head_world @ body_pose(data, name) for name in names}
-        axes = transform(T_head_world, _axes(data, designed))
+        axes = transform(T_head_world, _axes(data, of.designed))
         yield View(posture[n:], posture[:n], bodies, axes)
 
 
@@ -111,15 +115,15 @@ def _axes(data: mujoco.MjData, designed: DesignedHead) -> Array:
     return np.array([joint.xanchor + half * joint.xaxis for joint in joints])
 
 
-def picture(model: mujoco.MjModel, designed: DesignedHead) -> np.ndarray:
+def picture(of: HeadModel) -> np.ndarray:
     """Render the head (H, W, 3), RGB, with axes of its joints and views of the model's cameras.
 
     VergenceError without OpenGL.
     """
-    data = at_rest(model, moving_joints(designed))
+    model, data = of.model, at_rest(of.model, moving_joints(of.designed))
     view, option, shown = mujoco.MjvCamera(), mujoco.MjvOption(), mujoco.mjtVisFlag
     mujoco.mj_forward(model, data)
-    T = body_pose(data, designed.base) @ designed.T_base_head
+    T = body_pose(data, of.designed.base) @ of.designed.T_base_head
     x, y, z = T[:3, :3] @ [-1.0, -0.7, -0.4]
     view.lookat, view.distance, view.azimuth = T[:3, 3], 0.7, np.degrees(np.arctan2(y, x))
     view.elevation = np.degrees(np.arctan2(z, np.hypot(x, y)))

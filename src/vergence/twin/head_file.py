@@ -150,9 +150,12 @@ DEFAULT = "cbi_head"
 def load_head_file(path: Path | None = None) -> tuple[HeadFile, Path]:
     """Read a head.toml, and resolve the path of its model; None: that of the default head.
 
-    Raises VergenceError if the file is missing or is not a head.toml.
+    Of a model itself, which has no .toml in its name, nothing is stated. Raises VergenceError if
+    the file is missing or is not a head.toml.
     """
     path = models_folder() / DEFAULT / "head.toml" if path is None else path
+    if path.suffix != ".toml":
+        return HeadFile(model=path.name), path
     found = read_parsed(
         path,
         "a description of a head",
