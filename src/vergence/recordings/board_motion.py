@@ -2,19 +2,48 @@
 
 A camera that sits at T_eye_cam in its eye places the board at T_base_eye T_eye_cam T_cam_target.
 Errors of readings shift and turn that pose along a few directions only, errors of corners along all
-of them. Where the camera sits, and how much the readings err, follows from the views themselves:
-first by a consensus of turns, then by those pairs of views whose boards agree.
+of them. Lenses need only be rough. Where the camera sits, and how much the readings err, follows
+from the views themselves: first by a consensus of turns, then by those pairs of views whose boards
+agree.
 """
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import chi2
 
 from vergence.arrays import Array, nearest_rotation
-from vergence.geometry.se3 import boxminus, boxplus, hat, inverse, pose, rotvec
+from vergence.calibration.board_numbering import nearest_numbering
+from vergence.calibration.intrinsics import calibrate_camera
+from vergence.calibration.lenses import LensModel
+from vergence.data.description import DatasetCamera, Description
+from vergence.errors import VergenceError
+from vergence.geometry.board import corner_points
+from vergence.geometry.camera import Camera, pinhole, project
+from vergence.geometry.eye_motion import eye_linearised
+from vergence.geometry.kinematics import EYES
+from vergence.geometry.se3 import (
+    boxminus,
+    boxplus,
+    hat,
+    inverse,
+    known_poses,
+    pose,
+    rotvec,
+    transform,
+)
+from vergence.vision.board_pose import (
+    LEAST_CORNERS,
+    board_errors,
+    board_poses,
+    determines_pose,
+    refined_poses,
+    seen_corners,
+    seen_from_the_other_side,
+)
 
 READING_RAD = np.radians(0.5), np.radians(0.01), np.radians(1.0)
 """Deviation of readings assumed first, least and largest [rad]: half of a backlash of one degree;
@@ -30,23 +59,91 @@ LEAST_PAIRS, DRAWS = 6, 200
 """Fewest pairs that make a consensus, those of four views; and random draws of three pairs."""
 ROUNDS = 8
 """Steps of the robust estimate; it changes by far less than it errs after six."""
+LENSES: tuple[LensModel, ...] = ("radial-tangential", "fisheye")
+"""Lenses that are tried in turn, until one is good enough."""
+GOOD_LENS_PX, BEST_LENS_PX = 0.5, 0.05
+"""Root mean square of corners' errors [px] up to which a lens is good enough, and least one."""
+SHIFT_M = 0.2
+"""Error of a measured pose's position [m] that counts as one of its rotation by 1 rad."""
 
 
 @dataclass(frozen=True, eq=False)
-class EyeViews:
-    """n views of a board by one camera."""
+class BoardViews:
+    """n views of a board by one camera, and how its eye stood."""
 
+    rows: np.ndarray
+    """(n,) of int: which frames; those whose corners determine the board's pose."""
     T_base_eye: Array
     """(n, 4, 4) by the readings."""
     by_errors: Array
     """(n, 6, q) increments of that pose by the q quantities that err, each as 1 rad of a joint."""
     T_cam_target: Array
-    """(n, 4, 4)."""
+    """(n, 4, 4), all numbered from one end of the board."""
     covariance: Array
-    """(n, 6, 6) of the increments of T_cam_target."""
+    """(n, 6, 6) of its increments, as if corners near each other erred alike."""
+    pixels: Array
+    """(n, K, 2) where the pose puts the corners [px]."""
 
 
-def squared_distances(views: EyeViews, i: np.ndarray, k: np.ndarray) -> Array:
+def board_views(
+    description: Description, name: str, corners: Array, readings: Array
+) -> BoardViews | None:
+    """Place the board before a camera, by its corners (m, K, 2) [px], NaN where not seen.
+
+    Readings are (m, r), or poses (m, 2, 4, 4). None: no view determines the board's pose.
+    """
+    stated, points = description.cameras[name], corner_points(description.board)
+    rows = np.flatnonzero(determines_pose(points, seen_corners(corners)))
+    if not len(rows):
+        return None
+    camera = _rough_lens(stated, corners[rows], points)
+    T, squares = refined_poses(
+        camera, corners[rows], points, board_poses(camera, corners[rows], points)
+    )
+    slanted, others = refined_poses(
+        camera, corners[rows], points, seen_from_the_other_side(T, points)
+    )
+    T[others < squares] = slanted[others < squares]
+    known = known_poses(T)
+    rows, T, squares = rows[known], T[known], np.minimum(squares, others)[known]
+    # A board that is turned about its middle has its corners at the same places.
+    R, middle = nearest_numbering(T[:, :3, :3], description.board), points.mean(axis=0)
+    T = pose(R, T[:, :3, 3] + (T[:, :3, :3] - R) @ middle)
+    _, by_pose, _ = board_errors(camera, T, corners[rows], points)
+    variance = np.maximum(squares.mean(), squares) / 2 / LEAST_CORNERS + BEST_LENS_PX**2
+    information = np.swapaxes(by_pose, 1, 2) @ by_pose
+    if readings.ndim > 2:
+        T_base_eye = readings[rows, EYES.index(stated.eye)]
+        by_errors = np.tile(np.diag([1.0] * 3 + [SHIFT_M] * 3), (len(T), 1, 1))
+    else:
+        kinematics = description.head_kinematics
+        T_base_eye, _, by_errors = eye_linearised(kinematics, stated.eye, readings[rows])
+        used = kinematics.used(stated.eye)
+        by_errors = by_errors[..., used] / kinematics.gear_ratios[used]
+    return BoardViews(
+        rows,
+        T_base_eye,
+        by_errors,
+        T,
+        variance[:, None, None] * np.linalg.inv(information),
+        project(camera, transform(T[:, None], points)),
+    )
+
+
+def _rough_lens(stated: DatasetCamera, corners: Array, points: Array) -> Camera:
+    """Fit a lens; without enough views take the stated one, or guess."""
+    size = stated.width, stated.height
+    camera = stated.intrinsics or pinhole(*size, 0.9 * size[0])
+    for model in LENSES:
+        with suppress(VergenceError):
+            found = calibrate_camera(corners, points, size=size, lens_model=model)
+            camera = found.camera
+            if found.rms_px < GOOD_LENS_PX:
+                break
+    return camera
+
+
+def squared_distances(views: BoardViews, i: np.ndarray, k: np.ndarray) -> Array:
     """Compute the squared distances (p,) of the boards in pairs of views i and k (p,).
 
     They are those of six standard normal numbers where the board stood still; NaN: the views do not
@@ -58,7 +155,7 @@ def squared_distances(views: EyeViews, i: np.ndarray, k: np.ndarray) -> Array:
         T_base_cam = views.T_base_eye @ T_eye_cam
         T = T_base_cam @ views.T_cam_target
         arms = (T[:, :3, 3] - each[:, :3, 3] for each in (T_base_cam, views.T_base_eye))
-        by_camera, by_errors = map(carried, (_block(views.T_base_eye), views.by_errors), arms)
+        by_camera, by_errors = map(_carried, (_block(views.T_base_eye), views.by_errors), arms)
         turned = _block(T_base_cam)
         by_corners = turned @ views.covariance @ np.swapaxes(turned, 1, 2)
         by_readings = by_errors @ np.swapaxes(by_errors, 1, 2)
@@ -68,10 +165,8 @@ def squared_distances(views: EyeViews, i: np.ndarray, k: np.ndarray) -> Array:
         squared = np.einsum("pi,pij,pj->p", away, W, away)
         W *= ((1 + squared / GATE) ** -2)[:, None, None]  # Geman and McClure's weight
         normal = np.einsum("pia,pij,pjb->ab", by_camera, W, by_camera)
-        step = np.linalg.lstsq(normal, np.einsum("pia,pij,pj->a", by_camera, W, away), rcond=1e-9)[
-            0
-        ]
-        T_eye_cam = boxplus(T_eye_cam, -step)
+        right = np.einsum("pia,pij,pj->a", by_camera, W, away)
+        T_eye_cam = boxplus(T_eye_cam, -np.linalg.pinv(normal, hermitian=True) @ right)
         near = squared < GATE
         if near.sum() >= LEAST_PAIRS:
             J_W = np.swapaxes(J, 1, 2)[near] @ np.linalg.inv(by_corners[near])
@@ -82,19 +177,17 @@ def squared_distances(views: EyeViews, i: np.ndarray, k: np.ndarray) -> Array:
     return squared
 
 
-def carried(by: Array, arm: Array) -> Array:
+def _carried(by: Array, arm: Array) -> Array:
     """Carry increments (n, 6, m) of a frame over to what is fixed to it, an arm (n, 3) away."""
     return np.concatenate([by[:, :3], by[:, 3:] - hat(arm) @ by[:, :3]], axis=1)
 
 
 def _block(T: Array) -> Array:
     """Turn increments (n, 6) from the axes of frame b into those of frame a, by T_a_b (n, 4, 4)."""
-    found = np.zeros((len(T), 6, 6))
-    found[:, :3, :3] = found[:, 3:, 3:] = T[:, :3, :3]
-    return found
+    return np.einsum("ab,nij->naibj", np.eye(2), T[:, :3, :3]).reshape(-1, 6, 6)
 
 
-def _consensus(views: EyeViews, i: np.ndarray, k: np.ndarray) -> Array | None:
+def _consensus(views: BoardViews, i: np.ndarray, k: np.ndarray) -> Array | None:
     """Find T_eye_cam by turns of the camera that agree with those of the eye; None: too few do.
 
     A reading of the wrong sign looks like another mounting, to first order.
@@ -117,10 +210,5 @@ def _consensus(views: EyeViews, i: np.ndarray, k: np.ndarray) -> Array | None:
     R = nearest_rotation(a[best].T @ b[best])
     left = np.eye(3) - A[best, :3, :3]
     right = A[best, :3, 3] - B[best, :3, 3] @ R.T
-    weights, t = np.ones((len(best), 1)), np.zeros(3)
-    for _ in range(20):  # of least distances, not squares
-        rows_t = (weights[..., None] * left).reshape(-1, 3)
-        t = np.linalg.lstsq(rows_t, (weights * right).ravel(), rcond=0.01)[0]
-        off = np.linalg.norm(left @ t - right, axis=1, keepdims=True)
-        weights = 1 / np.sqrt(np.maximum(off, 1e-4))
+    t = np.linalg.lstsq(left.reshape(-1, 3), right.ravel(), rcond=0.01)[0]
     return pose(R, t)

@@ -8,12 +8,10 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.description import Description
-from vergence.recordings.board_motion import GATE, squared_distances
-from vergence.recordings.board_views import board_views, eye_views
-from vergence.recordings.frame_choice import ChosenFrames, seconds
+from vergence.recordings.board_motion import GATE, board_views, squared_distances
+from vergence.recordings.frame_choice import ChosenFrames, joints_still, seconds
 from vergence.recordings.moments import Moments
 from vergence.recordings.recording_map import FrameChoice
-from vergence.recordings.stillness import joints_still
 from vergence.vision.board_pose import LEAST_CORNERS, seen_corners
 
 REACH = 10
@@ -79,18 +77,17 @@ def _placements(
     broken = np.abs(np.diff(neck, axis=0)).max(axis=1, initial=0.0) > NECK_RAD
     disturbed = np.cumsum(~joints_still(moments))[rows]
     readings = moments.eye_angles if moments.T_base_eye is None else moments.T_base_eye
-    for name, camera in description.cameras.items():
-        views = board_views(camera, description.board, corners[name][rest])
+    for name, found in corners.items():
+        views = board_views(description, name, found[rest], readings[rows])
         if views is None:
             continue
         at = np.full(m, -1)
         at[views.rows] = np.arange(len(views.rows))
         both = (at[i] >= 0) & (at[k] >= 0)
         a, b = at[i[both]], at[k[both]]
-        turning = eye_views(views, description.head_kinematics, camera.eye, readings[rows])
         apart = ((views.pixels[a] - views.pixels[b]) ** 2).sum(axis=2).mean(axis=1)
         rested, stood = disturbed[i[both]] == disturbed[k[both]], apart < SAME_PX**2
-        squared = squared_distances(turning, a, b)
+        squared = squared_distances(views, a, b)
         stands = np.where(rested, stood, squared < GATE)
         vote[both] += np.where(stands, 1, -1) * (rested | np.isfinite(squared))
         alike[at[k] >= 0] &= both[at[k] >= 0]
