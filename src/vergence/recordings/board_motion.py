@@ -11,12 +11,14 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.stats import chi2
 
-from vergence.arrays import Array, nearest_rotation
+from vergence.arrays import Array
 from vergence.calibration.board_numbering import nearest_numbering
+from vergence.calibration.hand_eye import park_martin
 from vergence.calibration.intrinsics import calibrate_camera
 from vergence.calibration.lenses import LensModel
 from vergence.data.description import DatasetCamera, Description
@@ -53,10 +55,9 @@ GATE = float(chi2.isf(1e-6, 6))
 TURNS_RAD, TURNS_PART = np.radians(1.5), 0.05
 """Difference of an eye's and a camera's turn [rad], and as a part of it, that backlash and gains
 explain."""
-LEAST_TURN_RAD = np.radians(2.0)
-"""Turn from which a pair of views tells where the camera sits: above the noise of readings."""
-LEAST_PAIRS, DRAWS = 6, 200
-"""Fewest pairs that make a consensus, those of four views; and random draws of three pairs."""
+SUCCESSIVE, LEAST_PAIRS = 3, 6
+"""Views that place the camera for a start, and fewest pairs that agree with it: all of four views.
+"""
 ROUNDS = 8
 """Steps of the robust estimate; it changes by far less than it errs after six."""
 LENSES: tuple[LensModel, ...] = ("radial-tangential", "fisheye")
@@ -97,12 +98,9 @@ def board_views(
     if not len(rows):
         return None
     camera = _rough_lens(stated, corners[rows], points)
-    T, squares = refined_poses(
-        camera, corners[rows], points, board_poses(camera, corners[rows], points)
-    )
-    slanted, others = refined_poses(
-        camera, corners[rows], points, seen_from_the_other_side(T, points)
-    )
+    refined = partial(refined_poses, camera, corners[rows], points)
+    T, squares = refined(board_poses(camera, corners[rows], points))
+    slanted, others = refined(seen_from_the_other_side(T, points))
     T[others < squares] = slanted[others < squares]
     known = known_poses(T)
     rows, T, squares = rows[known], T[known], np.minimum(squares, others)[known]
@@ -166,7 +164,7 @@ def squared_distances(views: BoardViews, i: np.ndarray, k: np.ndarray) -> Array:
         W *= ((1 + squared / GATE) ** -2)[:, None, None]  # Geman and McClure's weight
         normal = np.einsum("pia,pij,pjb->ab", by_camera, W, by_camera)
         right = np.einsum("pia,pij,pj->a", by_camera, W, away)
-        T_eye_cam = boxplus(T_eye_cam, -np.linalg.pinv(normal, hermitian=True) @ right)
+        T_eye_cam = boxplus(T_eye_cam, -np.linalg.pinv(normal, 1e-9, hermitian=True) @ right)
         near = squared < GATE
         if near.sum() >= LEAST_PAIRS:
             J_W = np.swapaxes(J, 1, 2)[near] @ np.linalg.inv(by_corners[near])
@@ -188,27 +186,23 @@ def _block(T: Array) -> Array:
 
 
 def _consensus(views: BoardViews, i: np.ndarray, k: np.ndarray) -> Array | None:
-    """Find T_eye_cam by turns of the camera that agree with those of the eye; None: too few do.
+    """Find a T_eye_cam of SUCCESSIVE views by which most pairs turn as read; None: too few do.
 
     A reading of the wrong sign looks like another mounting, to first order.
     """
-    A = inverse(views.T_base_eye[i]) @ views.T_base_eye[k]
-    B = views.T_cam_target[i] @ inverse(views.T_cam_target[k])
-    a, b = rotvec(A[:, :3, :3]), rotvec(B[:, :3, :3])
-    turn = np.linalg.norm(a, axis=1)
+    E, T = views.T_base_eye, views.T_cam_target
+    by_eye, by_camera = (
+        rotvec((A @ inverse(B))[:, :3, :3])
+        for A, B in ((inverse(E[i]), inverse(E[k])), (T[i], T[k]))
+    )
+    turn = np.linalg.norm(by_eye, axis=1)
     allowed = TURNS_RAD + TURNS_PART * turn
-    alike = np.abs(turn - np.linalg.norm(b, axis=1)) < allowed
-    rows = np.flatnonzero(alike & (turn > LEAST_TURN_RAD))
-    rng, best = np.random.default_rng(0), rows[:0]
-    for _ in range(DRAWS if len(rows) >= LEAST_PAIRS else 0):
-        drawn = rng.choice(rows, 3, replace=False)
-        R = nearest_rotation(a[drawn].T @ b[drawn])
-        agreeing = rows[np.linalg.norm(a[rows] - b[rows] @ R.T, axis=1) < allowed[rows]]
-        best = max(best, agreeing, key=len)
-    if len(best) < LEAST_PAIRS or np.linalg.svd(a[best], compute_uv=False)[1] < LEAST_TURN_RAD:
-        return None
-    R = nearest_rotation(a[best].T @ b[best])
-    left = np.eye(3) - A[best, :3, :3]
-    right = A[best, :3, 3] - B[best, :3, 3] @ R.T
-    t = np.linalg.lstsq(left.reshape(-1, 3), right.ravel(), rcond=0.01)[0]
-    return pose(R, t)
+    best, most = None, LEAST_PAIRS - 1
+    for first in range(len(E) - SUCCESSIVE + 1):
+        few = slice(first, first + SUCCESSIVE)
+        with suppress(VergenceError):
+            T_eye_cam = park_martin(E[few], T[few])
+            away = np.linalg.norm(by_eye - by_camera @ T_eye_cam[:3, :3].T, axis=1)
+            agreeing = np.count_nonzero((away < allowed) & (turn > allowed))
+            best, most = (T_eye_cam, agreeing) if agreeing > most else (best, most)
+    return best

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import studentized_range
 
-from vergence.arrays import Array, nearest_rotation
+from vergence.arrays import Array
 from vergence.data.dataset import LEAST_MOVING, MAX_GAP_S
-from vergence.geometry.se3 import boxminus, known_poses, pose
 from vergence.recordings.moments import Moments
 from vergence.recordings.recording_map import FrameChoice, Span
 
@@ -34,8 +33,6 @@ STILL_PX = 0.3
 hand holds a board still."""
 MOST_MOVING = 300
 """Most moving frames: ten seconds at 30 Hz, by which an offset is known to a millisecond."""
-PIECE_S = 2.0
-"""Longest motion that is taken or left as a whole [s]."""
 FASTEST_RAD_S = 1.0
 """Speed [rad/s] from which images count as blurred: by 4 px in 10 ms, at a focal length of 400 px.
 """
@@ -62,7 +59,7 @@ def choose_frames(moments: Moments, stated: FrameChoice) -> ChosenFrames:
     elif np.median(np.diff(moments.time_ns, prepend=0)) > WINDOW_NS:
         at_rest = list(np.arange(len(moments))[:, None])  # each image was taken on purpose
     else:
-        still = (joints <= 1).all(axis=1) & (np.nan_to_num(images) <= 1).all(axis=1)
+        still = (joints <= 1).all(axis=1) & (images <= 1).all(axis=1)
         at_rest = _runs(known & still)
     unrest = np.nansum(np.concatenate([joints, images], axis=1), axis=1)
     rest = [row for rows in at_rest for row in _stillest(moments, rows[known[rows]], unrest)]
@@ -111,20 +108,18 @@ def _motions(moments: Moments, moves: np.ndarray) -> np.ndarray:
     A constant speed looks like an offset of the joints: what counts is how much it varies.
     """
     time_s, readings = seconds(moments), eye_readings(moments)
-    scored: list[tuple[float, np.ndarray]] = []
+    pieces: list[tuple[float, np.ndarray]] = []
     for run in _runs(moves):
-        late = np.flatnonzero(np.diff(time_s[run]) > MAX_GAP_S) + 1
-        long = np.searchsorted(time_s[run], np.arange(time_s[run[0]], time_s[run[-1]], PIECE_S))
-        for piece in np.split(run, np.union1d(late, long[1:])):
+        for piece in np.split(run, np.flatnonzero(np.diff(time_s[run]) > MAX_GAP_S) + 1):
             if len(piece) >= LEAST_MOVING:
                 speed = np.gradient(readings[piece], time_s[piece], axis=0)
                 varies = ((speed - speed.mean(axis=0)) ** 2).sum(axis=1)
-                blurred = np.abs(speed).max(axis=1) > FASTEST_RAD_S
-                scored.append((float(varies[~blurred].sum()), piece))
-    scored.sort(key=lambda each: -each[0])
-    taken = np.cumsum([len(piece) for _, piece in scored]) <= MOST_MOVING
-    kept = [piece for (_, piece), take in zip(scored, taken, strict=True) if take]
-    return np.sort(np.concatenate([np.zeros(0, int), *kept]))
+                sharp = np.abs(speed).max(axis=1) < FASTEST_RAD_S
+                pieces.append((float(varies[sharp].sum()), piece))
+    pieces.sort(key=lambda each: -each[0])
+    return np.sort(
+        np.concatenate([np.zeros(0, int), *(piece for _, piece in pieces)])[:MOST_MOVING]
+    )
 
 
 def joint_motion(moments: Moments) -> Array:
@@ -141,28 +136,23 @@ def joint_motion(moments: Moments) -> Array:
     )
     ranges, s = most - least, eyes.shape[1]
     if moments.T_base_eye is not None:  # the noise of a turn may lie along any axis
-        turns_and_shifts = np.linalg.norm(ranges[:, :s].reshape(len(ranges), -1, 3), axis=2)
-        ranges = np.concatenate([turns_and_shifts, ranges[:, s:]], axis=1)
+        of_poses = ranges[:, :s].reshape(-1, 2, 3, 4)
+        turns = np.linalg.norm(of_poses[..., :3], axis=(2, 3)) / np.sqrt(2)
+        shifts = np.linalg.norm(of_poses[..., 3], axis=2)
+        ranges = np.concatenate([turns, shifts, ranges[:, s:]], axis=1)
     usual, largest = studentized_range.ppf([QUIETEST, 1 - RARELY], max(count, 2), np.inf)
-    noise = np.minimum(_level(ranges) * largest / usual, NOISIEST_RAD)
+    quiet = np.nanquantile(ranges, QUIETEST, axis=0)
+    noise = np.minimum(quiet * largest / usual, NOISIEST_RAD)
     return ranges / np.hypot(noise, UNSEEN_RAD)
 
 
 def image_motion(moments: Moments) -> Array:
-    """Compute the motion of each camera's images around each moment (N, c), relative to noise.
-
-    NaN where a camera has no two images.
-    """
-    motion = np.full((len(moments), len(moments.change)), np.nan)
-    for c, (name, image) in enumerate(moments.images.items()):
-        rows = np.flatnonzero(image >= 0)
-        if len(rows) < 2:
-            continue
-        # A change is that of the time before its image: those of the window end after its middle.
-        change = np.nan_to_num(moments.change[name][rows, None])
-        at_ns = moments.time_ns
-        motion[:, c] = _extremes(at_ns[rows], change, at_ns, at_ns + WINDOW_NS)[1][:, 0]
-    return motion / np.hypot(BRIGHTER * _level(motion), STILL_PX)
+    """Compute the motion of each camera's images around each moment (N, c), relative to noise."""
+    change = np.nan_to_num(np.stack([*moments.change.values()], axis=1))
+    # A change is that of the time before its image: those of the window end after its middle.
+    begin_ns = moments.time_ns
+    motion = _extremes(begin_ns, change, begin_ns, begin_ns + WINDOW_NS)[1]
+    return motion / np.hypot(BRIGHTER * np.quantile(motion, QUIETEST, axis=0), STILL_PX)
 
 
 def joints_still(moments: Moments) -> np.ndarray:
@@ -171,15 +161,10 @@ def joints_still(moments: Moments) -> np.ndarray:
 
 
 def eye_readings(moments: Moments) -> Array:
-    """Return the readings of the eyes (N, s) [rad]; of poses their increments of a mean pose."""
+    """Return the readings of the eyes (N, s) [rad], or the elements of their poses."""
     if moments.T_base_eye is None:
         return moments.eye_angles
-    away = np.full((len(moments), 2, 6), np.nan)
-    for e, T in enumerate(np.moveaxis(moments.T_base_eye, 1, 0)):
-        known = known_poses(T)
-        mean = pose(nearest_rotation(T[known, :3, :3].sum(axis=0)), T[known, :3, 3].mean(axis=0))
-        away[known, e] = boxminus(T[known], mean)
-    return away.reshape(len(moments), -1)
+    return moments.T_base_eye[:, :, :3].reshape(len(moments), -1)
 
 
 def _extremes(
@@ -195,9 +180,3 @@ def _extremes(
     padded = np.concatenate([values, values[-1:]])
     least, most = (each.reduceat(padded, ends, axis=0)[::2] for each in (np.minimum, np.maximum))
     return least, most, int(np.median(last + 1 - first))
-
-
-def _level(values: Array) -> Array:
-    """Take the low quantile of each column (s,) of values (N, s), 0 for one without any."""
-    known = [column[np.isfinite(column)] for column in values.T]
-    return np.array([np.quantile(each, QUIETEST) if len(each) else 0.0 for each in known])
