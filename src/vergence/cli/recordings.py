@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Literal
@@ -18,6 +20,7 @@ from vergence.files import markdown_table, write_whole
 if TYPE_CHECKING:
     from vergence.data.dataset import Dataset
     from vergence.progress import Progress
+    from vergence.recordings.recording_map import RecordingMap
 
 MAP = "map.toml"
 """As in `recordings.recording_map`; repeated here since importing that needs numpy."""
@@ -39,13 +42,11 @@ def import_recording(
         out: Folder of the dataset to write; left out: the contents of the recording are listed.
     """
     from vergence.recordings.import_recording import import_recording as import_mapped
-    from vergence.recordings.recording_map import load_map
 
-    place = map or source.parent / MAP
     if out is None:
-        return _listed(source, place)
-    check_outputs(folder=out, inputs=[place])
-    mapped = load_map(place)
+        return _listed(source, map or source.parent / MAP)
+    check_outputs(folder=out, inputs=[map])
+    mapped = _map_of(source, map)
     with progress_bars() as progress:
         found = import_mapped(source, mapped, out, progress=progress)
     text = f"{counted(found.frames, 'frame')}, {found.moving} of them with moving eyes"
@@ -62,9 +63,14 @@ def _listed(source: Path, place: Path) -> Report:
     from vergence.recordings.recording_map import UNKNOWN, load_map
     from vergence.recordings.scan import scan
 
+    there = os.path.exists(place)
+    if there:
+        load_map(place)
+    else:
+        check_outputs(place, inputs=[source])
     with progress_bars() as progress, open_recording(source) as recording:
         scanned = scan(recording, frames=(), progress=progress)
-        text = "" if place.exists() else first_map(recording, scanned)
+        text = "" if there else first_map(recording, scanned)
         channels = recording.channels
     stamps = {channel: track.stamp_ns for (channel, _), track in scanned.joints.items()}
     stamps |= {channel: track.stamp_ns for channel, track in scanned.images.items()}
@@ -84,8 +90,7 @@ def _listed(source: Path, place: Path) -> Report:
     if joints:
         parts.append(markdown_table("joint | channel | lowest | highest", joints))
     command = invocation("vergence", "import-recording", source, "--out", "DATASET")
-    if not text:
-        load_map(place)
+    if there:
         return Report("Recording", parts, None, files=f"{place} is complete. Next: {command}")
     write_whole(place, text)
     missing = sum(f'"{UNKNOWN}"' in line for line in text.splitlines()[1:])
@@ -93,24 +98,34 @@ def _listed(source: Path, place: Path) -> Report:
     return Report("Recording", parts, None, files=f"Wrote {place}: {todo}. Then: {command}")
 
 
+def _map_of(source: Path, place: Path | None) -> RecordingMap:
+    """Load the map of a recording; None: the one in the folder that holds it."""
+    from vergence.recordings.formats import open_recording
+    from vergence.recordings.recording_map import load_map
+
+    place = place or source.parent / MAP
+    if not os.path.exists(place):
+        with open_recording(source):  # VergenceError if there is no recording either
+            command = invocation("vergence", "import-recording", source)
+            raise VergenceError(f"{source} has no map {place}; {command} writes a first one.")
+    return load_map(place)
+
+
 @contextmanager
 def dataset_of(path: Path, progress: Progress) -> Iterator[Dataset]:
     """Load a dataset, or import a recording by its map into a temporary one."""
     from vergence.recordings.formats import is_recording
     from vergence.recordings.import_recording import import_recording as import_mapped
-    from vergence.recordings.recording_map import load_map
 
-    if any((path / name).exists() for name in DATASET_FILES) or not is_recording(path):
+    if any(os.path.exists(path / name) for name in DATASET_FILES) or not is_recording(path):
         yield vg.load_dataset(path)
         return
-    place = path.parent / MAP
-    if not place.exists():
-        command = invocation("vergence", "import-recording", path)
-        raise VergenceError(f"{path} is a recording without a map; {command} writes a first one.")
+    mapped = _map_of(path, None)
     with TemporaryDirectory(prefix="vergence-") as folder:
-        dataset = Path(folder) / path.name
-        import_mapped(path, load_map(place), dataset, progress=progress)
-        yield vg.load_dataset(dataset)
+        place = Path(folder) / path.name
+        found = import_mapped(path, mapped, place, progress=progress)
+        data = vg.load_dataset(place)
+        yield replace(data, findings=(*data.findings, *found.findings))
 
 
 def export_poses(
@@ -137,7 +152,6 @@ def export_poses(
     from vergence.recordings.formats import open_recording
     from vergence.recordings.mapped_scan import on_the_clock, scan_mapped
     from vergence.recordings.pose_files import write_poses
-    from vergence.recordings.recording_map import load_map
 
     if format == "tf" and out.exists():
         raise VergenceError(f"{out} already exists; name another bag, or remove it.")
@@ -147,8 +161,8 @@ def export_poses(
         if (recording / DESCRIPTION).is_file():
             poses = dataset_poses(vg.load_dataset(recording), head, progress=progress)
         else:
+            mapped = _map_of(recording, map)
             with open_recording(recording) as opened:
-                mapped = load_map(map or recording.parent / MAP)
                 scanned = scan_mapped(on_the_clock(opened, mapped), mapped, progress=progress)
             poses = recording_poses(*scanned, mapped, head, progress=progress)
     write_poses(poses, head, out, format)

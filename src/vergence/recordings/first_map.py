@@ -175,7 +175,8 @@ def _joint_lines(joints: Sequence[_Joint], eyes: Sequence[str]) -> Iterator[str]
     taken = [*version, *(each for each, _ in found.values())]
     for each in usable:
         if "neck" in each.words and each.words & {"pan", "tilt", "roll"} and each not in taken:
-            name = re.sub(r"\W", "_", f"neck_{each.column}", flags=re.ASCII)[:60]
+            name = re.sub(r"\W", "_", each.column, flags=re.ASCII)[:50]
+            name = name if re.match("neck|head", name) else f"neck_{name}"
             found[name] = each, "guess: a joint of the neck"
     for name, (each, reason) in found.items():
         joint = each or _Joint(UNKNOWN, frozenset(), "rad", "guess")

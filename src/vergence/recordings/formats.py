@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -31,7 +32,7 @@ def open_recording(path: Path | str) -> Iterator[Recording]:
             with format.open_recording(path) as recording:
                 yield recording
             return
-    if not path.exists():
+    if not os.path.exists(path):
         raise VergenceError(f"There is no recording {path}.")
     raise VergenceError(
         f"{path} is not a recording that can be read: a ROS 1 .bag, a ROS 2 folder, .db3 or .mcap, "

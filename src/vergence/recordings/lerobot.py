@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -30,12 +31,12 @@ _FIELD = re.compile(r"\{(\w+)(?::0?(\d)d)?\}")
 def _split(path: Path) -> tuple[Path, int | None]:
     """Split a path into a dataset's folder and the index of an episode, if it names one."""
     match = re.fullmatch(r"episode_(\d{1,9})", path.name)
-    return (path.parent, int(match[1])) if match and not path.exists() else (path, None)
+    return (path.parent, int(match[1])) if match and not os.path.exists(path) else (path, None)
 
 
 def recognise(path: Path) -> bool:
     """Test whether a path is a dataset of LeRobot, or an episode of one."""
-    return (_split(path)[0] / "meta" / "info.json").is_file()
+    return os.path.isfile(_split(path)[0] / "meta" / "info.json")
 
 
 @contextmanager

@@ -45,9 +45,9 @@ _Table = tuple[str, np.ndarray, dict[str, Array], dict[str, list[str | None]]]
 
 def recognise(path: Path) -> bool:
     """Test whether a path is a csv, or a folder with one that is not a dataset."""
-    if path.is_dir() and not (path / "dataset.json").exists():
+    if os.path.isdir(path) and not os.path.exists(path / "dataset.json"):
         return any(file.suffix.lower() == ".csv" for file in series.files_in(path))
-    return path.suffix.lower() == ".csv" and path.is_file()
+    return path.suffix.lower() == ".csv" and os.path.isfile(path)
 
 
 @contextmanager
