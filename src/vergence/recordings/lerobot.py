@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow
 from pyarrow import parquet
 
+from vergence.arrays import Array
 from vergence.data.images import UNREADABLE, decode_image
 from vergence.errors import VergenceError, counted, explain
 from vergence.files import parse_json, read_parsed
@@ -23,7 +25,7 @@ from vergence.recordings.stamps import nanoseconds
 from vergence.recordings.video import open_video
 
 MAX_BYTES = 2**29
-"""Largest table when it is unpacked [bytes]; a parquet of 1 kB may state any size."""
+"""Most that is unpacked at once [bytes], with 16 a number; a parquet of 1 kB may state any size."""
 _FIELD = re.compile(r"\{(\w+)(?::0?(\d)d)?\}")
 """A field in a template of file names; `str.format` could be asked for gigabytes of digits."""
 
@@ -63,9 +65,9 @@ def _channels(root: Path, info: dict, index: int, stack: ExitStack) -> Iterator[
     chunk = index // info.get("chunks_size", 1000)
     known: dict[str, Any] = {"episode_index": index, "episode_chunk": chunk}
     for meta in sorted(root.glob("meta/episodes/*/*.parquet")):  # since version 3
-        table, rows = _rows(root, str(meta.relative_to(root)), index)
+        _, table, rows = _rows(root, str(meta.relative_to(root)), index, stack)
         known.update(*table.take(rows).to_pylist())
-    table, rows = _rows(root, _filled(info["data_path"], known, "data"), index)
+    opened, table, rows = _rows(root, _filled(info["data_path"], known, "data"), index, stack)
     time_s = _matrix(table["timestamp"].take(rows))[:, 0]
     stamps = nanoseconds(time_s, "s", f"{root}: timestamp")
     for key, feature in info["features"].items():
@@ -81,7 +83,7 @@ def _channels(root: Path, info: dict, index: int, stack: ExitStack) -> Iterator[
             content = partial(lambda frame, nearest, k: frame(int(nearest[k])), frame, nearest)
             yield Series(key, "images", kind, stamps, content)
         elif kind == "image":
-            yield Series(key, "images", kind, stamps, partial(_image, key, table[key], rows))
+            yield Series(key, "images", kind, stamps, _images(opened, key, rows))
         elif key.startswith("observation") and kind.startswith("float"):
             values = _matrix(table[key].take(rows))
             names = _names(key, feature.get("names"), values.shape[1])
@@ -96,22 +98,26 @@ def _filled(template: str, known: Mapping[str, Any], part: str) -> str:
     return _FIELD.sub(lambda field: str(values[field[1]]).zfill(int(field[2] or 0)), template)
 
 
-def _rows(root: Path, name: str, index: int) -> tuple[Any, np.ndarray]:
-    """Read a parquet file, and find the rows of an episode in it."""
+def _rows(root: Path, name: str, index: int, stack: ExitStack) -> tuple[Any, Any, np.ndarray]:
+    """Open a parquet file, read all but images, and find the rows of an episode."""
     file = series.inside(root, name)
-    about = parquet.read_metadata(file)
+    opened = stack.enter_context(parquet.ParquetFile(file))
+    about, schema = opened.metadata, opened.schema_arrow
     groups = [about.row_group(k) for k in range(about.num_row_groups)]
     numbers = sum(g.column(k).num_values for g in groups for k in range(about.num_columns))
-    if max(8 * numbers, sum(group.total_byte_size for group in groups)) > MAX_BYTES:
+    if max(16 * numbers, *(group.total_byte_size for group in groups), 0) > MAX_BYTES:
         raise VergenceError(f"{file} takes more than {MAX_BYTES:,} bytes when it is unpacked.")
-    table = parquet.read_table(file, use_threads=False)
-    return table, np.flatnonzero(table["episode_index"].to_numpy() == index)
+    names = [each.name for each in schema if not pyarrow.types.is_struct(each.type)]
+    table = opened.read(names, use_threads=False)
+    return opened, table, np.flatnonzero(table["episode_index"].to_numpy() == index)
 
 
-def _matrix(column: Any) -> np.ndarray:
+def _matrix(column: Any) -> Array:
     """Convert a column of numbers, or of lists of equal lengths, to (N, C)."""
-    rows = [row if isinstance(row, list) else [row] for row in column.to_pylist()]
-    return np.array(rows, float).reshape(len(rows), -1)
+    width = len(column[0]) if len(column) and column.type.num_fields else 1
+    if column.type.num_fields:
+        column = column.cast(pyarrow.list_(pyarrow.float64(), width)).combine_chunks().flatten()
+    return column.cast(pyarrow.float64()).to_numpy(zero_copy_only=False).reshape(-1, width)
 
 
 def _names(key: str, names: Any, count: int) -> tuple[str, ...]:
@@ -122,9 +128,20 @@ def _names(key: str, names: Any, count: int) -> tuple[str, ...]:
     return names if len(set(names)) == count else tuple(f"{key}/{k}" for k in range(count))
 
 
-def _image(key: str, cells: Any, rows: np.ndarray, k: int) -> Content:
-    cell = cells[int(rows[k])].as_py()
-    image = decode_image((isinstance(cell, dict) and cell.get("bytes")) or b"")
-    if image is None:
-        raise VergenceError(f"{key} of row {rows[k]} {UNREADABLE}.")
-    return image
+def _images(opened: Any, key: str, rows: np.ndarray) -> Callable[[int], Content]:
+    """Make a function that reads images in a column of parquet, a group of rows at a time."""
+    sizes = (opened.metadata.row_group(k).num_rows for k in range(opened.num_row_groups))
+    ends = np.cumsum([*sizes])
+    group = lru_cache(1)(lambda k: opened.read_row_group(k, [key], use_threads=False).column(0))
+
+    def read(k: int) -> Content:
+        number = int(np.searchsorted(ends, rows[k], side="right"))
+        try:
+            image = decode_image(group(number)[rows[k] - ends[number]].as_py()["bytes"])
+        except Exception:  # of pyarrow, and of contents of other types
+            image = None
+        if image is None:
+            raise VergenceError(f"{key} of row {rows[k]} {UNREADABLE}.")
+        return image
+
+    return read
