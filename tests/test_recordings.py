@@ -59,7 +59,7 @@ def test_the_page_s_commands_lead_to_points(robot, monkeypatch, capsys):
     monkeypatch.setattr(frame_choice, "MOST_MOVING", 30)  # to save time
     monkeypatch.chdir(folder)
     steps = [words[1:] for words in commands(PAGE) if words[1] != "record"]
-    listing, direct, imported, _, corrected = steps
+    listing, direct, imported, _, corrected, exported = steps
     run(monkeypatch, *listing)
     printed = capsys.readouterr().out
     assert "| /stereo/left/image_raw" in printed
@@ -100,6 +100,9 @@ def test_the_page_s_commands_lead_to_points(robot, monkeypatch, capsys):
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) > 15
     assert all("OK" in line for line in lines)
+
+    run(monkeypatch, *exported)
+    assert len(Path("poses.csv").read_text().splitlines()) > 2 * 100
 
     run(monkeypatch, *listing[:1], "robot/later.mcap", "--map", "robot/later.toml")
     assert "[board]" not in (folder / "robot" / "later.toml").read_text().split("# [board]")[0]
