@@ -199,11 +199,8 @@ def lies(folder: Path) -> list[Path]:
     messages.write_bytes(bytes(data))
     record = new("record", "mcap") / "a.mcap"
     record.write_bytes(with_long_record(record.read_bytes()))
-    zeros = bytes(BOMB_BYTES)
-    for compression, packed in (
-        ("lz4", lz4_compress(zeros)),
-        ("zstd", storage_mcap.zstd.compress(zeros)),
-    ):
+    zeros, zstd = bytes(BOMB_BYTES), vars(storage_mcap)["zstd"]
+    for compression, packed in (("lz4", lz4_compress(zeros)), ("zstd", zstd.compress(zeros))):
         bomb = new(compression, "mcap") / "a.mcap"
         bomb.write_bytes(mcap_of(compression, packed))
     image = new("image", "mcap") / "a.mcap"
