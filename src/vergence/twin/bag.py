@@ -84,9 +84,10 @@ def write_twin_bag(
     messages.sort(key=lambda each: each.received_ns)
 
     def written() -> Iterator[Message]:
-        for done, each in enumerate(messages):
-            progress("writing the bag", done, len(messages))
+        progress("writing the bag", 0, len(messages))
+        for done, each in enumerate(messages, 1):
             yield each
+            progress("writing the bag", done, len(messages))
 
     path = dataset.folder / ("recording.bag" if settings.storage == "ros1" else "recording")
     write_bag(path, written(), storage=settings.storage)
