@@ -60,10 +60,9 @@ def write_twin_bag(
     """
     description, rng = dataset.description, np.random.default_rng([seed, 63])
     joint_s, eyes, neck = dataset.joint_time_s, dataset.eye_angles, dataset.neck_angles
-    if settings.joint_rate_hz:  # the last reading is that of the last image
+    if settings.joint_rate_hz:
         log_s, postures = np.array([at for at, _ in log]), np.array([each for _, each in log])
-        last = int((joint_s[-1] - log_s[0]) * settings.joint_rate_hz)
-        joint_s = joint_s[-1] - np.arange(last, -1, -1) / settings.joint_rate_hz
+        joint_s = np.arange(log_s[0], log_s[-1], 1 / settings.joint_rate_hz)
         at_s = joint_s - max(0.0, joints.delay_ms * 1e-3)
         sensed = np.stack([np.interp(at_s, log_s, column) for column in postures.T], axis=1)
         neck, eyes = np.split(sensed, [len(description.neck_joints)], axis=1)

@@ -59,6 +59,9 @@ LEAST_FRAMES, MOST_FRAMES = 12, 10_000
 """Numbers of frames at rest; below 12 some camera has fewer than three views."""
 RATE_HZ = 30.0
 """Rate of the frames with moving eyes [Hz], as of usual cameras."""
+HOLD_S = 0.3
+"""Time [s] for which the eyes stay after a frame where joints are read at their own rate, so that
+readings around the frame are of one posture, whatever the latency."""
 
 
 def record(
@@ -111,9 +114,15 @@ def record(
         task = f"recording {total} frames"
         progress(task, 0, total)
 
+        log: list[tuple[float, Array]] = []
+        streamed = bag is not None and bag.joint_rate_hz > 0
+        if streamed:
+            twin.watch = lambda *posture: log.append(posture)
+        hold_s = HOLD_S if streamed else 0.0
+
         def rows() -> Iterator[DatasetRow]:
             nonlocal images
-            for true, row in _capture(twin, shots, board, moving):
+            for true, row in _capture(twin, shots, board, moving, hold_s):
                 true_angles.append(true)
                 images += len(row.frame.images)
                 progress(task, len(true_angles), total)
@@ -132,9 +141,6 @@ def record(
             )
             (folder / TRUTH).write_text(as_json(truth), encoding="utf-8")
 
-        log: list[tuple[float, Array]] = []
-        if bag is not None and bag.joint_rate_hz:
-            twin.watch = lambda *posture: log.append(posture)
         write_dataset(out, description, rows(), beside=write_truth)
         if bag is not None:
             data, sensors = load_dataset(out), profile.joints
@@ -181,11 +187,15 @@ def _seeing(twin: Twin, board: Board, shot: Shot) -> tuple[str, ...]:
 
 
 def _capture(
-    twin: Twin, shots: list[Shot], board: Board, moving: int
+    twin: Twin, shots: list[Shot], board: Board, moving: int, hold_s: float
 ) -> Iterator[tuple[Array, DatasetRow]]:
-    """Yield the true eye angles (r,) and the dataset's row of each frame."""
+    """Yield the true eye angles (r,) and the dataset's row of each frame.
+
+    After each frame at rest and after the last one the motion goes on for `hold_s`.
+    """
     for shot in carry_out(twin, shots, interval_s=0.1):  # each row has its own time stamp
         yield _frame(twin, shot, moving=False)
+        twin.advance(twin.time_s + hold_s, twin.posture(shot.eye_angles))
     if moving:
         fixed, begin = shots[-1], twin.time_s + 0.6
         twin.settle(twin.posture(_sweep(twin, 0.0)))
@@ -194,6 +204,7 @@ def _capture(
             twin.advance(begin + time_s, lambda now: twin.posture(_sweep(twin, now - begin)))
             shot = replace(fixed, eye_angles=_sweep(twin, time_s))
             yield _frame(twin, replace(shot, cameras=_seeing(twin, board, shot)), moving=True)
+        twin.advance(twin.time_s + hold_s, lambda now: twin.posture(_sweep(twin, now - begin)))
 
 
 def _frame(twin: Twin, shot: Shot, *, moving: bool) -> tuple[Array, DatasetRow]:
