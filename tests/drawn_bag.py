@@ -12,6 +12,7 @@ from vergence.arrays import Array
 from vergence.geometry.board import Chessboard
 from vergence.geometry.camera import pinhole
 from vergence.geometry.head import R_EYE_CAM, HeadCalibration, MountedCamera, camera_pose_in_base
+from vergence.geometry.kinematics import EYES
 from vergence.geometry.se3 import inverse, pose, rotation
 from vergence.recordings.bag import message, write_bag
 from vergence.recordings.recording import JointSample, Message
@@ -55,7 +56,7 @@ def two_eyes() -> HeadCalibration:
             intrinsics=pinhole(*SIZE, 260.0),
             T_eye_cam=pose(rotation(turn) @ R_EYE_CAM, [0.02, 0.001, 0.01]),
         )
-        for eye, turn in (("left", [0.01, -0.02, 0.015]), ("right", [-0.015, 0.01, 0.02]))
+        for eye, turn in zip(EYES, ([0.01, -0.02, 0.015], [-0.015, 0.01, 0.02]), strict=True)
     }
     return HeadCalibration(cameras=cameras, T_rbase_lbase=pose(t=[0, 0.07, 0]))
 

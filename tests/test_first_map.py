@@ -40,12 +40,11 @@ def recorded(
     channel: str = "/joint_states",
 ) -> Recorded:
     """Return cameras that give pictures in turn, and joints that read from -x to x."""
-    kinds: dict[str, Kind] = dict.fromkeys(cameras, "images") | {channel: "joints"}
-    content: dict[str, tuple[Content, ...]] = dict.fromkeys(cameras, pictures) | {
-        channel: tuple(
-            JointSample(tuple(joints), sign * np.array([*joints.values()])) for sign in (-1, 1)
-        ),
-    }
+    values = np.array([*joints.values()])
+    content: dict[str, tuple[Content, ...]] = {name: pictures for name in cameras}
+    content[channel] = tuple(JointSample(tuple(joints), sign * values) for sign in (-1, 1))
+    kinds: dict[str, Kind] = {name: "images" for name in cameras}
+    kinds[channel] = "joints"
 
     def read(names, start, stop):
         for name in names:

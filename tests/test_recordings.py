@@ -79,7 +79,7 @@ def test_the_page_s_commands_lead_to_points(robot, monkeypatch, capsys):
     dataset = load_dataset("my_head")
     assert len(set(dataset.placement)) == 7
     assert dataset.moving.any()
-    for row in np.flatnonzero(~dataset.moving):
+    for row in np.flatnonzero(~dataset.moving).tolist():
         t = round(dataset.time_s[row] * 1e9 - START_NS, -6)
         np.testing.assert_allclose(dataset.eye_angles[row], session.angles_at(int(t)), atol=1e-9)
         expected = draw(

@@ -81,7 +81,7 @@ def import_recording(
         def rows() -> Iterator[DatasetRow]:
             for k, images in enumerate(again(chosen.rows)):
                 row = chosen.rows[k]
-                time_s = moments.time_ns[row] * 1e-9
+                time_s = int(moments.time_ns[row]) * 1e-9
                 frame = Frame(
                     time_s=time_s,
                     joint_time_s=time_s,

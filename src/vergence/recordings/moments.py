@@ -81,7 +81,8 @@ def find_moments(scanned: Scan, mapped: RecordingMap, description: Description) 
         T_base_eye = eye_poses(scanned.poses, mapped.poses, time_ns, max_gap_s=mapped.max_gap_s)
         posture = np.hstack([T_base_eye.reshape(len(time_ns), -1), neck_angles])
         eye_angles = np.full_like(eye_angles, np.nan)
-    period_ns = min(_period_ns(track.stamp_ns) for track in tracks.values())
+    steps = [np.diff(np.unique(track.stamp_ns)) for track in tracks.values()]
+    period_ns = min(float(np.median(each)) if len(each) else 0.0 for each in steps)
     kept = _join_at_rest(time_ns, images, posture, period_ns)
     images = {name: rows[kept] for name, rows in images.items()}
     change = {
@@ -112,17 +113,12 @@ def check_stamps(
     findings = []
     for name, stamp_ns in used.items():
         steps = np.diff(stamp_ns)
-        odd, frozen = int((steps <= 0).sum()), int((steps == 0).sum())
-        if 2 * frozen > len(steps) > 1:
-            raise VergenceError(
-                f"The stamps of {name} stand still, {frozen} of {len(stamp_ns)} repeat the one "
-                f"before; {remedy}."
-            )
-        if odd:
-            sentence = (
-                f"{odd} of {len(stamp_ns)} stamps of {name} repeat the one before or are earlier, "
-                f"by up to {-steps.min() * 1e-9:.3g} s; they were put in order."
-            )
+        odd = f"{int((steps <= 0).sum())} of {len(stamp_ns)} stamps of {name} repeat the one before"
+        if 2 * (steps == 0).sum() > len(steps) > 1:
+            raise VergenceError(f"{odd}; {remedy}.")
+        if (steps <= 0).any():
+            late_s = -steps.min() * 1e-9
+            sentence = f"{odd}, or are up to {late_s:.3g} s earlier; they were put in order."
             findings.append(warning("stamps-out-of-order", sentence, name))
     last, first = max(used, key=lambda n: used[n].min()), min(used, key=lambda n: used[n].max())
     if used[last].min() > used[first].max():
@@ -131,12 +127,6 @@ def check_stamps(
             f"s, before those of {last} begin at {used[last].min() * 1e-9:.3f} s; {remedy}."
         )
     return tuple(findings)
-
-
-def _period_ns(stamp_ns: np.ndarray) -> float:
-    """Compute the usual time between images [ns]; 0 for a single one."""
-    steps = np.diff(np.unique(stamp_ns))
-    return float(np.median(steps)) if len(steps) else 0.0
 
 
 def _join_at_rest(
@@ -178,20 +168,16 @@ def readings_at(
 def joint_track(scanned: Scan, column: str) -> JointTrack:
     """Find the joint that a column names, as `name` or `channel:name`.
 
-    VergenceError if there is none, or one in several channels.
+    VergenceError unless there is exactly one.
     """
     found = {
         f"{channel}:{name}": track
         for (channel, name), track in scanned.joints.items()
         if column in (name, f"{channel}:{name}")
     }
-    if not found:
+    if len(found) != 1:
         raise VergenceError(
-            f"The map names a joint {column!r}, of which the recording has no reading."
-        )
-    if len(found) > 1:
-        raise VergenceError(
-            f"The map names a joint {column!r}, which several channels have: write one of "
-            f"{', '.join(found)}."
+            f"The map names a joint {column!r}; the recording has {', '.join(found) or 'none'} of "
+            "that name."
         )
     return next(iter(found.values()))

@@ -131,9 +131,9 @@ def scan(
             while len(earlier) > 1 and earlier[1][0] <= message.received_ns - LAG_NS:
                 earlier.popleft()
             last = earlier[0][1] if earlier else None
-            comparable = last is not None and last.shape == small.shape
-            scale = content.shape[1] / small.shape[1]
-            change = scale * _apparent_motion(last, small) if comparable else np.nan
+            change = np.nan
+            if last is not None and last.shape == small.shape:
+                change = content.shape[1] / small.shape[1] * _apparent_motion(last, small)
             earlier.append((message.received_ns, small))
             if len(earlier) > MOST_EARLIER:
                 earlier.popleft()
@@ -147,7 +147,10 @@ def scan(
         if done % 20 == 0 or done == total:
             progress("reading the recording", done, total)
     return Scan(
-        images={name: _image_track(rows, sizes[name]) for name, rows in images.items()},
+        images={
+            name: ImageTrack(*map(np.array, zip(*rows, strict=True)), size=sizes[name])
+            for name, rows in images.items()
+        },
         joints={
             name: JointTrack(np.array(stamps), np.array(values))
             for name, (stamps, values) in joints.items()
@@ -191,8 +194,3 @@ def _apparent_motion(last: np.ndarray, now: np.ndarray) -> float:
         cv2.resize(each, TILES, interpolation=cv2.INTER_AREA) for each in (squares, slopes)
     )
     return float(np.sqrt(2 * (squares / (slopes + max(float(slopes.mean()), 1e-6))).max()))
-
-
-def _image_track(rows: list[tuple[int, int, float]], size: tuple[int, int]) -> ImageTrack:
-    stamps, received, changes = zip(*rows, strict=True)
-    return ImageTrack(np.array(stamps), np.array(received), np.array(changes), size)
