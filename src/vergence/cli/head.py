@@ -17,7 +17,7 @@ from vergence.files import markdown_table, results_folder, whole_file, write_who
 if TYPE_CHECKING:
     from vergence.twin.designed_head import DesignedHead
 
-RESULTS = "head.png", "head.rrd", "report.md"
+RESULTS = "head.png", "head.rrd"
 HEADING = "# Written by `vergence head`; docs/own_head.md explains the fields."
 
 
@@ -54,7 +54,6 @@ def head(model: Positional[Path], /, *, out: Optional[Path] = None) -> Report:
             moved = sweep(found), moving_joints(found.designed), report.markdown()
             geoms = visual_geoms(found.model)
             record_head(out / "head.rrd", found.designed.head, geoms, *moved)
-            write_whole(out / "report.md", report.markdown())
             with whole_file(out / "head.png") as part:
                 Image.fromarray(picture(found)).save(part, format="png")
         files.append(f"To view the recording: {invocation('rerun', out / 'head.rrd')}")
@@ -84,10 +83,8 @@ def _report(found: DesignedHead, toml: str, error: float, remarks: list[str]) ->
         f"The kinematics agree with MuJoCo's to {error:.0e} [m, 1] at 20 random postures.",
         *remarks,
     ]
-    cameras = {name: mounted.eye for name, mounted in head.cameras.items()}
-    data = {"eyes": dict(found.eyes), "neck": list(found.neck), "cameras": cameras}
-    more = {"readings": list(kinematics.readings), "disagreement": error}
-    return Report("Head of a model", parts, data | more)
+    data = {"eyes": dict(found.eyes), "neck": found.neck, "disagreement": error}
+    return Report("Head of a model", parts, data)
 
 
 def as_toml(values: Mapping[str, Any], table: str = "") -> Iterator[str]:

@@ -133,7 +133,7 @@ def designed_head(
         head = HeadCalibration(mounted, pose(t=t), kinematics, neck)
     except ValueError as error:
         raise VergenceError(f"{stated.model} is no head: {explain(error)}.") from None
-    eyes: dict[Side, tuple[str, ...]] = {eye: chain.joints for eye, chain in chains.items()}
+    eyes: dict[Side, tuple[str, ...]] = {e: chains[e].joints for e in EYES if e in chains}
     return DesignedHead(head, stated.base, T_base_head, eyes, stated.neck or (), bodies, T_body_cam)
 
 

@@ -16,7 +16,7 @@ from vergence.geometry.kinematics import eye_joint_angles
 from vergence.geometry.neck import head_pose
 from vergence.geometry.se3 import inverse, transform
 from vergence.twin import no_opengl
-from vergence.twin.designed_head import DesignedHead, moving_joints
+from vergence.twin.designed_head import moving_joints
 from vergence.twin.head_model import HeadModel
 from vergence.twin.model_chain import at_rest, body_pose
 
@@ -86,10 +86,8 @@ def doubts(of: HeadModel) -> list[str]:
 class View(NamedTuple):
     """A posture of a head; the world is frame head with a straight neck."""
 
-    readings: Array
-    """(r,) [rad]."""
-    neck: Array
-    """(n,) [rad]."""
+    posture: Array
+    """(j,) angles of the neck's joints and readings of the eyes [rad]."""
     bodies: dict[str, Array]
     """(4, 4) by body its pose."""
     axes: Array
@@ -104,15 +102,11 @@ def sweep(of: HeadModel) -> Iterator[View]:
     for posture in np.clip(np.kron(each, WAVE_RAD[:, None]), *of.limits.setpoint_range_rad.T):
         data = pose_joints(of, posture[n:], posture[:n])
         bodies = {name: T_head_world @ body_pose(data, name) for name in names}
-        axes = transform(T_head_world, _axes(data, of.designed))
-        yield View(posture[n:], posture[:n], bodies, axes)
-
-
-def _axes(data: mujoco.MjData, designed: DesignedHead) -> Array:
-    """Compute both ends (k, 2, 3) of the drawn axes of neck and eyes, in the world."""
-    joints = [data.joint(name) for name in moving_joints(designed)]
-    half = AXIS_M / 2 * np.array([[-1.0], [1.0]])
-    return np.array([joint.xanchor + half * joint.xaxis for joint in joints])
+        joints = [data.joint(name) for name in moving_joints(of.designed)]
+        ends = [
+            [j.xanchor - AXIS_M / 2 * j.xaxis, j.xanchor + AXIS_M / 2 * j.xaxis] for j in joints
+        ]
+        yield View(posture, bodies, transform(T_head_world, np.array(ends)))
 
 
 def picture(of: HeadModel) -> np.ndarray:

@@ -40,16 +40,9 @@ def completed(stated: HeadFile, model: mujoco.MjModel) -> HeadFile:
 
     An eye has its own joints and, if these are fewer than EYE_JOINTS, the joints before them, which
     both eyes share. The base is the body before them, and up to NECK_JOINTS independent hinges
-    before it are the neck. VergenceError if the model has no such cameras, joints or bodies, or
-    leaves open which cameras are the eyes'.
+    before it are the neck. KeyError of MuJoCo for a part that the model does not have;
+    VergenceError if it has no cameras, or leaves open which are the eyes'.
     """
-    try:
-        return _completed(stated, model)
-    except KeyError as error:  # MuJoCo lists the valid names
-        raise VergenceError(f"{stated.model}: {str(error.args[0])[:300]}") from None
-
-
-def _completed(stated: HeadFile, model: mujoco.MjModel) -> HeadFile:
     for joint in (*stated.joints, *(stated.neck or ()), *sum(stated.eyes.values(), ())):
         model.joint(joint)
     cameras = dict(stated.cameras) or _cameras(stated, model)
@@ -78,9 +71,6 @@ def _completed(stated: HeadFile, model: mujoco.MjModel) -> HeadFile:
         for n, (_, own) in where.items()
     }
     sides = _sides(stated, cameras, {path[-1] for path in paths.values()}, places)
-    if not stated.cameras:  # the first one of either eye, then the second ones
-        by_eye = {eye: [n for n in cameras if sides[n] == eye] for eye in EYES}
-        cameras = dict(sorted(cameras.items(), key=lambda c: by_eye[sides[c[0]]].index(c[0])))
     eyes: dict[Side, tuple[str, ...]] = {
         eye: stated.eyes.get(eye, tuple(next(inside[n] for n in cameras if sides[n] == eye)))
         for eye in EYES

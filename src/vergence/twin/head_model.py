@@ -52,7 +52,10 @@ def load_head_model(path: Path | None = None, lens: str | None = None) -> HeadMo
     spec = load_model(model_path)
     add_joints(spec, stated)
     model = spec.compile()
-    stated = completed(stated, model)
+    try:
+        stated = completed(stated, model)
+    except KeyError as error:  # MuJoCo lists the names that there are
+        raise VergenceError(f"{model_path}: {str(error.args[0])[:300]}") from None
     lens = chosen_lens(stated, lens)
     lenses = {name: lens_of(stated, folder, name, model, lens) for name in stated.cameras}
     designed = designed_head(model, stated, lenses)

@@ -15,7 +15,7 @@ from vergence.geometry.head import HeadCalibration, base_pose
 from vergence.geometry.kinematics import EYES, eye_pose
 from vergence.geometry.neck import head_pose
 from vergence.geometry.se3 import inverse
-from vergence.viewer.layouts import curves_view, playing, report_view, view_3d
+from vergence.viewer.layouts import playing, report_view, view_3d
 from vergence.viewer.recording import log_report, recording_file, set_time
 from vergence.viewer.shapes import placed
 
@@ -41,21 +41,19 @@ def record_head(
     """
     near, far = np.array([0.05, 0.0, 0.0]), np.array([0.45, 0.45, 0.25])
     space = view_3d("the head, axes of its joints and views of its cameras", middle=near, eye=far)
-    curves = curves_view("neck and readings of the eyes [rad]", "joints")
-    layout = playing(rrb.Horizontal(space, rrb.Vertical(curves, report_view())), speed=1.0)
-    part, names = rr.escape_entity_path_part, [*head.neck.names, *head.kinematics.readings]
+    layout = playing(rrb.Horizontal(space, report_view()), speed=1.0)
+    part = rr.escape_entity_path_part
     inside = [replace(geom, body=f"robot/{part(geom.body)}") for geom in geoms]
     with recording_file(path, "head", layout, head, inside) as rec:
         for k, view in enumerate(views):
             set_time(rec, STEP_S * k, k)
             for body in {geom.body for geom in geoms}:
                 rec.log(f"world/robot/{part(body)}", placed(view.bodies[body]))
-            T_head = inverse(head_pose(head.neck, 0 * view.neck)) @ head_pose(head.neck, view.neck)
+            neck, readings = np.split(view.posture, [len(head.neck.axes)])
+            T_head = inverse(head_pose(head.neck, 0 * neck)) @ head_pose(head.neck, neck)
             for eye in EYES:
-                T = T_head @ base_pose(head, eye) @ eye_pose(head.kinematics, eye, view.readings)
+                T = T_head @ base_pose(head, eye) @ eye_pose(head.kinematics, eye, readings)
                 rec.log(f"world/{eye}_eye", placed(T))
             start, end = view.axes[:, 0], view.axes[:, 1]
             rec.log("world/axes", rr.Arrows3D(origins=start, vectors=end - start, labels=joints))
-            for name, angle in zip(names, [*view.neck, *view.readings], strict=True):
-                rec.log(f"joints/{part(name)}", rr.Scalars(angle))
         log_report(rec, report)
