@@ -119,8 +119,10 @@ def _check(head: HeadCalibration, description: Description, where: str) -> None:
 def _beyond_readings(dataset: Dataset, offset_s: float) -> np.ndarray:
     """Find the rows (M,) of bool whose image was taken before or after the readings of a motion."""
     run, read_s = runs(dataset), dataset.joint_time_s
-    begin, end = (np.array([f(read_s[run == k]) for k in run]) for f in (np.min, np.max))
-    return (run > 0) & ((read_s + offset_s < begin) | (read_s + offset_s > end))
+    begin, end = np.full((2, run.max() + 1), [[np.inf], [-np.inf]])
+    np.minimum.at(begin, run, read_s)
+    np.maximum.at(end, run, read_s)
+    return (run > 0) & ((read_s + offset_s < begin[run]) | (read_s + offset_s > end[run]))
 
 
 def _poses(
