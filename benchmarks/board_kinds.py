@@ -110,7 +110,8 @@ def _is_white(board: Board, x: Array, y: Array) -> np.ndarray:
         white, family = ~joint, marker_family(board.dictionary)
         modules = family.markerSize + 4
         on_marker = within & (i >= 0) & (j >= 0) & (x - i < side) & (y - j < side)
-        for row, ids in enumerate(board.ids):
+        numbers = np.arange(board.tags_x * board.tags_y).reshape(board.tags_y, board.tags_x)
+        for row, ids in enumerate(numbers[::-1]):
             for column, number in enumerate(ids):
                 here = on_marker & (i == column) & (j == row)
                 marker = family.generateImageMarker(int(number), modules, borderBits=2)

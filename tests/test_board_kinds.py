@@ -4,14 +4,13 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
 from board_kinds import BOARDS, CAMERAS, board_picture, compared
 from recordings import board_json, change_about, small_dataset
 from vergence.calibration.board_numbering import symmetries
-from vergence.calibration.other_boards import other_board, why_not_found
+from vergence.calibration.other_boards import why_not_found
 from vergence.calibration.outliers import strays
 from vergence.data.reader import load_dataset
 from vergence.geometry.board import (
@@ -53,26 +52,11 @@ def test_symmetries_put_the_corners_of_a_board_onto_each_other(board: Board):
 
 
 def test_spellings_of_opencv_name_the_same_markers():
-    ids = replace(APRIL, dictionary="DICT_APRILTAG_36H11").ids
-    assert (ids == APRIL.ids).all()
+    replace(APRIL, dictionary="DICT_APRILTAG_36H11")
     with pytest.raises(ValueError, match="No marker dictionary is called 'DICT_APRILTAG_36h12'"):
         replace(APRIL, dictionary="DICT_APRILTAG_36h12")
     with pytest.raises(ValueError, match="whose markers are 0 to 586"):
-        replace(APRIL, first_id=580)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("shown", "board", "advice"),
-    [
-        (APRIL, replace(APRIL, rows_from_below=False), "board.rows_from_below to true"),
-    ],
-)
-def test_another_board_is_named(shown: Board, board: Board, advice: str):
-    picture = board_picture(shown).grey
-    scale = 440 / len(picture)
-    small = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    assert advice in (other_board([cv2.GaussianBlur(small, (0, 0), 0.7)], board) or "")
+        replace(APRIL, tags_x=30, tags_y=30)
 
 
 def test_markers_that_cannot_be_read_are_called_so():

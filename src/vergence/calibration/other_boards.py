@@ -118,8 +118,6 @@ def _largest_grid(grey: np.ndarray) -> np.ndarray | None:
 
 def _candidates(images: Sequence[np.ndarray], board: Board) -> Iterator[Board]:
     """Yield boards that images (H, W) may show: with markers, then without."""
-    if isinstance(board, AprilGrid):
-        yield replace(board, rows_from_below=not board.rows_from_below)
     sides = board.square_m, board.square_y_m, board.square_std_m
     plain, families = Chessboard(board.columns, board.rows, *sides), {}
     for name in sorted(DICTIONARIES, key=lambda name: len(marker_family(name).bytesList)):

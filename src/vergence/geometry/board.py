@@ -14,7 +14,6 @@ from pydantic import (
     ConfigDict,
     Field,
     FiniteFloat,
-    NonNegativeInt,
     PositiveFloat,
     PositiveInt,
 )
@@ -97,7 +96,8 @@ class Charuco:
 class AprilGrid:
     """A grid of markers whose corners touch small black squares, as Kalibr prints it.
 
-    The markers identify the corners, so that a partly visible grid is enough.
+    The markers identify the corners, so that a partly visible grid is enough. They are numbered
+    from 0 along rows, from the lowest row as Kalibr's or from the highest as OpenCV's.
     """
 
     tags_x: Annotated[int, Field(ge=2, le=50)]
@@ -109,10 +109,6 @@ class AprilGrid:
     """Side of a marker [m]: Kalibr's tagSize."""
     dictionary: str = "DICT_APRILTAG_36h11"
     """OpenCV's name of the marker dictionary."""
-    first_id: NonNegativeInt = 0
-    """Number of the first marker; they are numbered along the rows of the upright grid."""
-    rows_from_below: bool = True
-    """Whether the first row is the lowest one, as Kalibr's, and not the highest, as OpenCV's."""
     square_y_m: PositiveFloat | None = None
     square_std_m: PositiveFloat | None = None
     """As of a chessboard."""
@@ -120,7 +116,7 @@ class AprilGrid:
 
     def __post_init__(self) -> None:
         _check_stretch(self)
-        _check_markers(self, self.first_id + self.tags_x * self.tags_y - 1)
+        _check_markers(self, self.tags_x * self.tags_y - 1)
 
     @property
     def columns(self) -> int:
@@ -131,12 +127,6 @@ class AprilGrid:
     def rows(self) -> int:
         """Corners in a column."""
         return 2 * self.tags_y
-
-    @property
-    def ids(self) -> np.ndarray:
-        """(tags_y, tags_x) numbers of the markers, the highest row first."""
-        ids = self.first_id + np.arange(self.tags_x * self.tags_y).reshape(self.tags_y, self.tags_x)
-        return ids[::-1] if self.rows_from_below else ids
 
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid", allow_inf_nan=False))

@@ -35,8 +35,9 @@ STRAY = 5.0
 def read_grid(large: np.ndarray, board: AprilGrid) -> tuple[Array, np.ndarray]:
     """Read a board's markers in an image (H, W): corners (N, 4, 2) [px] and numbers (N,)."""
     found = [read_markers(large, board.dictionary, border=border) for border in BORDERS]
-    quads, numbers = max(found, key=lambda each: np.isin(each[1], board.ids).sum())
-    own = np.isin(numbers, board.ids)
+    last = board.tags_x * board.tags_y
+    quads, numbers = max(found, key=lambda each: (each[1] < last).sum())
+    own = numbers < last
     return np.reshape(quads, (-1, 4, 2))[own].astype(float), numbers[own]
 
 
@@ -53,15 +54,18 @@ def detect_april_grid(
         return None
     shape = board.rows, board.columns
     at = corner_points(board)[:, :2] / board.square_m
-    row, column = 2 * np.argwhere(board.ids == numbers[:, None, None])[:, 1:].T
-    index = np.arange(len(at)).reshape(shape)[
-        row[:, None] + [0, 0, 1, 1], column[:, None] + [0, 1, 1, 0]
-    ]
+    column, row = numbers % board.tags_x, numbers // board.tags_x
     quads = (quads + 0.5) / scale - 0.5
     # Half a marker allows for the lens, and not for markers that were misread.
     side = float(np.median(np.linalg.norm(np.diff(quads, axis=1), axis=2)))
-    H, kept = cv2.findHomography(at[index].mean(axis=1), quads.mean(axis=1), cv2.RANSAC, side / 2)
-    if H is None or kept.sum() < LEAST_MARKERS or np.linalg.det(H) * H[2, 2] <= 0:
+    for down in (row, board.tags_y - 1 - row):  # seen from behind, rows are in the other order
+        around = 2 * down[:, None] + [0, 0, 1, 1], 2 * column[:, None] + [0, 1, 1, 0]
+        index = np.ravel_multi_index(around, shape)
+        centres = at[index].mean(axis=1), quads.mean(axis=1)
+        H, kept = cv2.findHomography(*centres, cv2.RANSAC, side / 2)
+        if H is not None and kept.sum() >= LEAST_MARKERS and np.linalg.det(H) * H[2, 2] > 0:
+            break
+    else:
         return None
     expected, corners = cv2.perspectiveTransform(at[None], H)[0], np.full(at.shape, np.nan)
     for numbers, quad in zip(index[kept.ravel() > 0], quads[kept.ravel() > 0], strict=True):
