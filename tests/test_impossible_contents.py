@@ -115,13 +115,13 @@ def test_an_impossible_profile_is_refused_by_the_field(sound_files, text):
     [
         ({"camera_model": "omni"}, "camera_model"),
         ({"distortion_model": "fov"}, "distortion_model"),
-        ({"distortion_coeffs": "[0.1]"}, "distortion_coeffs has 1 number;"),
+        ({"distortion_coeffs": "[0.1]"}, "4 at least are stated; found 1"),
         ({"intrinsics": "[1, 2, 3]"}, "intrinsics"),
         ({"intrinsics": "[-300, 300, 320, 240]"}, "focal lengths"),
         ({"resolution": "[640]"}, "resolution"),
         ({"resolution": "[0, 480]"}, "resolution"),
         ({"resolution": "[1000000, 480]"}, "width|resolution"),
-        ({"rostopic": "/left_narrow/image"}, "a second time"),
+        ({"rostopic": "/left_narrow/image"}, "No camera is called .cam0"),
         ({"rostopic": "/nobody/image"}, "No camera is called 'nobody'"),
     ],
 )
@@ -155,7 +155,7 @@ def test_an_impossible_camera_info_is_refused(sound_files, old, new, says):
     assert says in sentence(sound_files["ros"], text.replace(old, new, 1).encode())
 
 
-@pytest.mark.parametrize("suffix", [".yml", ".xml", ".json"])
+@pytest.mark.parametrize("suffix", [".yml", ".json"])
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [

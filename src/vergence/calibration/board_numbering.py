@@ -19,7 +19,6 @@ from vergence.calibration.observations import Observations, camera_eyes, most_se
 from vergence.errors import VergenceError
 from vergence.findings import Finding, note, warning
 from vergence.geometry.board import AprilGrid, Board, Charuco, CircleGrid, corner_points
-from vergence.geometry.head import main_camera
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.se3 import known_poses, pose, rotation, rotvec
 
@@ -87,10 +86,9 @@ def number_alike(observations: Observations, T_cam_target: Mapping[str, Array]) 
         name: _by_readings(observations.placement, T, poses, EYES.index(eyes[name]), S)
         for name, T in T_cam_target.items()
     }
-    if observations.eye_motion == "fixed":  # the main camera of an eye stands for its base
-        for eye in EYES:
-            if own := [name for name in cameras if eyes[name] == eye]:
-                cameras[main_camera(own, eye)].R_eye_cam = np.eye(3)
+    if observations.eye_motion == "fixed":  # the first camera of an eye stands for its base
+        for name in {eyes[name]: name for name in reversed(cameras)}.values():
+            cameras[name].R_eye_cam = np.eye(3)
     parallel = observations.eye_motion == "pan-tilt"
     _join(list(cameras.values()), S, MOST_TURNED_RAD if parallel else np.pi)
     _turn_fewest(list(cameras.values()), S)

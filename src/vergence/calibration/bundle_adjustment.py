@@ -44,7 +44,7 @@ from vergence.findings import Finding
 from vergence.geometry.camera import intrinsics_names
 from vergence.geometry.head import (
     HeadCalibration,
-    cameras_of,
+    lenses_of,
     main_camera,
     main_pair,
     parameter_names,
@@ -457,8 +457,8 @@ def fixed_by_default(start: HeadCalibration, *, timed: bool) -> set[str]:
     if main_pair(start) is None:
         fixed |= {f"T_rbase_lbase.{name}" for name in POSE}
     for eye, joints in start.kinematics.eyes.items():
-        if not joints and (own := cameras_of(start, eye)):
-            fixed |= {f"{main_camera(own, eye)}.T_eye_cam.{name}" for name in POSE}
+        if not joints and (own := lenses_of(start, eye)):
+            fixed |= {f"{main_camera(own)}.T_eye_cam.{name}" for name in POSE}
     return fixed if timed else fixed | {"time_offset_s"}
 
 

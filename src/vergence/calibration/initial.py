@@ -166,24 +166,17 @@ def _mounted(
     else:
         T_base_eye = observations.eye_poses()[rows, EYES.index(eye)]
         T_eye_main = robust_park_martin(T_base_eye, T_cam_target[main][rows])
-    T_eye_cam, seen = {main: T_eye_main}, observations.corners
-
-    def together(pair: tuple[str, str]) -> int:
-        both = np.logical_and(*(seen_corners(seen[name]) for name in pair))
-        return int((both.sum(axis=1) >= LEAST_CORNERS).sum())
-
-    while waiting := [name for name in cameras if name not in T_eye_cam]:
-        # Relative to the main camera; one that shares no view with it, relative to another.
-        pairs = [(known, name) for name in waiting for known in T_eye_cam]
-        direct = [pair for pair in pairs if pair[0] == main and together(pair)]
-        known, name = direct[0] if direct else max(pairs, key=together)
-        T_name_known, _ = calibrate_pair(
-            seen[known], seen[name], points, cameras[known], cameras[name], names=(known, name)
-        )
-        T_eye_cam[name] = T_eye_cam[known] @ inverse(T_name_known)
+    T_eye_cam = {main: T_eye_main}
+    for name in cameras:
+        if name != main:
+            both = observations.corners[main], observations.corners[name]
+            T_name_main, _ = calibrate_pair(
+                *both, points, cameras[main], cameras[name], names=(main, name)
+            )
+            T_eye_cam[name] = T_eye_main @ inverse(T_name_main)
     mounted = {
-        name: MountedCamera(eye=eye, intrinsics=cameras[name], T_eye_cam=T_eye_cam[name])
-        for name in (main, *(each for each in cameras if each != main))
+        name: MountedCamera(eye=eye, intrinsics=cameras[name], T_eye_cam=T)
+        for name, T in T_eye_cam.items()
     }
     return mounted, len(rows)
 

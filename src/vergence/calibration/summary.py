@@ -164,14 +164,11 @@ def summary_lines(head: HeadCalibration, observations: Observations) -> list[str
         lines.append(f"Noise: {noise} px in corners{readings}.")
     checked = accuracy.held_out
     if checked is not None and checked.prediction_px is not None:
-        predict = {
-            "pan-tilt": "the joint readings predict",
-            "poses": "the eye poses predict",
-            "fixed": "lenses and camera poses predict",
-        }
+        by = {"poses": "eye poses", "fixed": "lenses and camera poses"}
+        read = by.get(accuracy.eye_motion, "joint readings")
         lines.append(
-            f"Held-out views: {predict[accuracy.eye_motion]} corners to "
-            f"{checked.prediction_px:.2f} px ({checked.folds} folds)."
+            f"Held-out views: the {read} predict corners to {checked.prediction_px:.2f} px "
+            f"({checked.folds} folds)."
         )
     if checked is not None and checked.transfer_px is not None:
         lines.append(

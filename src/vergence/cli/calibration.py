@@ -133,6 +133,7 @@ def export(
     *,
     format: Literal["kalibr", "ros", "opencv", "urdf"],
     out: Path,
+    at: Optional[tuple[float, ...]] = None,
 ) -> Report:
     """Write a calibration in another program's format.
 
@@ -140,6 +141,8 @@ def export(
         calibration: JSON file that `vergence calibrate` wrote.
         format: Format; ros writes a folder, the others a file.
         out: File or folder to write.
+        at: Joint readings [rad] at which the cameras stand in files of kalibr and ros; default:
+            straight gaze, and no rectification of moving eyes.
     """
     from vergence.interchange import ros
 
@@ -148,7 +151,7 @@ def export(
         check_outputs(folder=out, names=map(ros.file_name, head.cameras), inputs=[calibration])
     else:
         check_outputs(out, inputs=[calibration])
-    vg.export_head(head, out, format)
+    vg.export_head(head, out, format, at=at)
     return Report("Export", (), None, files=f"Wrote {out}.")
 
 

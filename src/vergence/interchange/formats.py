@@ -7,10 +7,13 @@ from pathlib import Path
 from typing import Literal, get_args
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from vergence.calibration.plausibility import implausible_geometry
 from vergence.errors import VergenceError
 from vergence.gaze.commands import JointLimits
 from vergence.geometry.head import HeadCalibration
+from vergence.geometry.kinematics import checked_readings
 from vergence.interchange import kalibr, opencv, ros, urdf
 from vergence.interchange.serialization import with_intrinsics
 
@@ -24,19 +27,23 @@ def export_head(
     format_name: ExportFormat,
     *,
     limits: JointLimits | None = None,
+    at: ArrayLike | None = None,
 ) -> None:
     """Write a head in another program's format; ros writes a folder, the others a file.
 
-    `limits` are those of the joints, of which urdf alone has a field.
+    `limits` are those of the joints, of which urdf alone has a field. Poses in files of kalibr and
+    ros are those at readings `at` (r,) [rad]; None: straight gaze, and in ros none of moving eyes.
 
     Raises:
         VergenceError: the format is unknown, the head has a property for which it has no field,
-            or the path cannot be written.
+            or the path cannot be written; or the readings are not those of the head.
     """
     _check_format(format_name, get_args(ExportFormat))
+    if at is not None:
+        at = checked_readings(head.kinematics, at, one_posture=True)
     writers = {
-        "kalibr": kalibr.save,
-        "ros": ros.save,
+        "kalibr": partial(kalibr.save, at=at),
+        "ros": partial(ros.save, at=at),
         "opencv": opencv.save,
         "urdf": partial(urdf.save, limits=limits),
     }
@@ -69,7 +76,10 @@ def import_head(
             "take the numbers from the file."
         )
     if format_name == "kalibr":
-        return kalibr.update_head(kalibr.load(path), template)
+        head = kalibr.update_head(kalibr.load(path), template)
+        for finding in implausible_geometry(head):
+            raise VergenceError(f"{path}: {finding}")
+        return head
     return with_intrinsics(template, ros.load(path))
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import BaseModel, FiniteFloat, PositiveInt, TypeAdapter
 
 from vergence.arrays import Array, Transform
-from vergence.errors import VergenceError, counted, explain
+from vergence.errors import VergenceError, explain
 from vergence.geometry.camera import Camera
 from vergence.geometry.head import (
     HeadCalibration,
@@ -27,36 +27,41 @@ from vergence.geometry.head import (
 from vergence.geometry.kinematics import EYES, straight_gaze
 from vergence.geometry.lens import CameraModel
 from vergence.geometry.se3 import inverse
-from vergence.interchange.serialization import check_cameras, read, with_intrinsics, write_yaml
+from vergence.interchange.serialization import (
+    check_cameras,
+    lens_of,
+    read,
+    with_intrinsics,
+    write_yaml,
+)
 from vergence.stereo.extrinsics import rebase
 
 
 class _Cam(BaseModel):
     """A camera of a camchain. Text is converted to numbers, since YAML 1.1 reads 1e-5 as text."""
 
-    camera_model: Literal["pinhole"]
+    camera_model: str
     distortion_model: Literal["radtan", "equidistant", "none"] = "none"
     distortion_coeffs: list[FiniteFloat] = []
-    intrinsics: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
+    intrinsics: list[FiniteFloat]
     resolution: tuple[PositiveInt, PositiveInt]
     rostopic: str = ""
     T_cn_cnm1: Transform | None = None
 
     def camera(self) -> Camera:
-        count = 0 if self.distortion_model == "none" else 4
-        if len(self.distortion_coeffs) != count:
-            found = counted(len(self.distortion_coeffs), "number")
-            raise ValueError(f"distortion_coeffs has {found}; {self.distortion_model} has {count}")
+        if self.camera_model != "pinhole" or len(self.intrinsics) != 4:
+            raise ValueError(
+                "camera_model: expected a pinhole with 4 intrinsics, found "
+                f"{self.camera_model[:40]} with {len(self.intrinsics)}; calibrate with Kalibr's "
+                "pinhole-equi or pinhole-radtan, or with `vergence calibrate --lens fisheye`"
+            )
         fx, fy, cx, cy = self.intrinsics
         fisheye = self.distortion_model == "equidistant"
-        spare = [] if fisheye else [0.0] * (5 - count)
-        return Camera(
-            width=self.resolution[0],
-            height=self.resolution[1],
-            matrix=np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]),
-            distortion=np.array(self.distortion_coeffs + spare),
-            model="fisheye" if fisheye else "radial-tangential",
-        )
+        stated = [] if self.distortion_model == "none" else self.distortion_coeffs
+        model, distortion = lens_of("fisheye" if fisheye else "radial-tangential", stated)
+        matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+        width, height = self.resolution
+        return Camera(width=width, height=height, matrix=matrix, distortion=distortion, model=model)
 
 
 _CAMS = TypeAdapter(dict[str, _Cam])
@@ -64,18 +69,19 @@ Camchain = dict[str, tuple[Camera, Array | None]]
 """Cameras by name in the order of the chain, with T_cn_cnm1 (4, 4) from the previous camera."""
 
 
-def save(head: HeadCalibration, path: Path) -> None:
+def save(head: HeadCalibration, path: Path, at: Array | None = None) -> None:
     """Write a head's cameras as cam0, cam1, ... of a camchain, with their names as rostopic.
 
-    VergenceError if a camera has skew, k3 or a rational lens, or the file cannot be written.
+    They stand as at readings (r,) [rad]; None: straight gaze. VergenceError if a camera has skew,
+    k3 or a rational lens, or the file cannot be written.
     """
     models: tuple[CameraModel, ...] = ("radial-tangential", "fisheye")
     check_cameras(head, "Kalibr's camchain", models=models, has_k3=False)
     content: dict[str, Any] = {}
     T_head_previous = np.eye(4)
+    at = straight_gaze(head.kinematics) if at is None else at
     for k, (name, mounted) in enumerate(head.cameras.items()):
-        straight = straight_gaze(head.kinematics)
-        T_head_cam = base_pose(head, mounted.eye) @ camera_pose_in_base(head, name, straight)
+        T_head_cam = base_pose(head, mounted.eye) @ camera_pose_in_base(head, name, at)
         camera = mounted.intrinsics
         step = {"T_cn_cnm1": (inverse(T_head_cam) @ T_head_previous).tolist()} if k else {}
         content[f"cam{k}"] = step | {
@@ -92,7 +98,7 @@ def save(head: HeadCalibration, path: Path) -> None:
 
 
 def load(path: Path) -> Camchain:
-    """Read a camchain. The first part of a rostopic names its camera, else cam0, ..."""
+    """Read a camchain; the first part of the topics that differs names cameras, else cam0, ..."""
     return read(path, "a Kalibr camchain", _camchain)
 
 
@@ -103,10 +109,11 @@ def _camchain(content: Any) -> Camchain:
         names = ", ".join(found) or "nothing"
         raise ValueError(f"it has {names} where cam0, cam1, ... are expected")
     chain: Camchain = {}
-    for key in keys:
-        name = found[key].rostopic.strip("/").split("/")[0] or key
-        if name in chain:
-            raise ValueError(f"{key}.rostopic names {name} a second time")
+    topics = [found[key].rostopic.strip("/").split("/") for key in keys]
+    depth = range(min(map(len, topics)))
+    differ = next((k for k in depth if len({topic[k] for topic in topics}) == len(topics)), None)
+    for key, topic in zip(keys, topics, strict=True):
+        name = key if differ is None else topic[differ] or key
         try:
             chain[name] = (found[key].camera(), found[key].T_cn_cnm1)
         except ValueError as error:

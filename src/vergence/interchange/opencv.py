@@ -1,4 +1,4 @@
-"""OpenCV's FileStorage (.yml, .yaml, .xml or .json): a whole head, matrices as cv::Mat.
+"""OpenCV's FileStorage (.yml, .yaml or .json): a whole head, matrices as cv::Mat.
 
 cameras:  by name  eye, image_width, image_height, camera_matrix (3x3),
                    lens_model (radial-tangential if it is missing: cv2.projectPoints with 5
@@ -12,19 +12,17 @@ time_offset_s
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any, Literal
-from xml.etree import ElementTree
 
 import cv2
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, Field, FiniteFloat
 
 from vergence.errors import VergenceError
-from vergence.files import parse_json, unique_keys, write_whole
+from vergence.files import parse_json, write_whole
 from vergence.geometry.head import HeadCalibration, MountedCamera
 from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import EYES, Kinematics, Side
@@ -39,7 +37,7 @@ from vergence.interchange.serialization import (
     read,
 )
 
-SUFFIXES = (".yml", ".yaml", ".xml", ".json")
+SUFFIXES = (".yml", ".yaml", ".json")
 FORMAT = "vergence-head-opencv-2"
 _ERRORS = tuple(field.name for field in fields(Joint) if isinstance(field.default, float))
 """Fields of a joint with its deviations from the design."""
@@ -156,9 +154,8 @@ def load(path: Path) -> HeadCalibration:
 
     cv2.FileStorage is not used: its parser can end the process on a damaged file.
     """
-    parsers = {".xml": _parse_xml, ".json": parse_json}
-    what = "a head in a file of OpenCV's FileStorage"
-    return read(path, what, _head, parsers.get(path.suffix, _parse_yaml))
+    parse = parse_json if path.suffix == ".json" else parse_yaml
+    return read(path, "a head in a file of OpenCV's FileStorage", _head, parse)
 
 
 def _head(content: Any) -> HeadCalibration:
@@ -199,22 +196,3 @@ def _kinematics(found: _Kinematics) -> Kinematics:
             for name, joint in getattr(found, eye).items()
         )
     return Kinematics(eyes, names)
-
-
-def _parse_yaml(text: str) -> Any:
-    # OpenCV 4 begins with %YAML:1.0, which is not valid YAML; its matrices are plain mappings.
-    return parse_yaml(re.sub(r"\A%YAML[^\n]*", "", text))
-
-
-def _parse_xml(text: str) -> Any:
-    def value(element: ElementTree.Element) -> Any:
-        if len(element):
-            return unique_keys([(child.tag, value(child)) for child in element])
-        return (element.text or "").strip().strip('"')
-
-    if "<!DOCTYPE" in text:  # entities can stand for any amount of text
-        raise ValueError("it declares a document type, which FileStorage does not")
-    try:
-        return value(ElementTree.fromstring(text))
-    except ElementTree.ParseError as error:
-        raise ValueError(str(error)) from None

@@ -1,6 +1,6 @@
 """ROS's camera_info YAML, one file per camera, as camera_calibration_parsers reads and writes them.
 
-The files hold intrinsics only; where a camera sits in the head is not part of the format.
+What is read are intrinsics; where a camera sits in the head is not part of the format.
 """
 
 from __future__ import annotations
@@ -9,13 +9,15 @@ import os
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import cv2
 import numpy as np
 from pydantic import Field
 
+from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.files import UNFINISHED, results_folder
 from vergence.geometry.camera import Camera
-from vergence.geometry.head import MAX_CAMERAS, HeadCalibration
+from vergence.geometry.head import MAX_CAMERAS, HeadCalibration, main_pair
 from vergence.geometry.lens import CameraModel
 from vergence.interchange.serialization import (
     Intrinsics,
@@ -24,6 +26,7 @@ from vergence.interchange.serialization import (
     read,
     write_yaml,
 )
+from vergence.stereo.extrinsics import relative_camera_pose
 
 DISTORTION_MODELS: dict[CameraModel, str] = {
     "radial-tangential": "plumb_bob",
@@ -41,12 +44,15 @@ class _CameraInfo(Intrinsics):
     distortion_model: Literal["plumb_bob", "rational_polynomial", "equidistant"]
 
 
-def save(head: HeadCalibration, folder: Path) -> None:
-    """Write <camera>.yaml for every camera into a folder, without rectification.
+def save(head: HeadCalibration, folder: Path, at: Array | None = None) -> None:
+    """Write <camera>.yaml for every camera into a folder.
 
+    The main cameras are rectified at readings (r,) [rad]; None: only cameras that stand still are.
     VergenceError if a camera has skew, or the folder cannot be written.
     """
     check_cameras(head, "ROS's camera_info")
+    still = not head.kinematics.readings
+    rectified = _rectified(head, np.zeros(0) if still else at) if still or at is not None else {}
     with results_folder(folder):
         for name, mounted in head.cameras.items():
             content = intrinsics_fields(mounted.intrinsics) | {
@@ -54,9 +60,29 @@ def save(head: HeadCalibration, folder: Path) -> None:
                 "distortion_model": DISTORTION_MODELS[mounted.intrinsics.model],
                 "rectification_matrix": np.eye(3),
                 "projection_matrix": np.pad(mounted.intrinsics.matrix, ((0, 0), (0, 1))),
+                **rectified.get(name, {}),
             }
             plain = {key: _plain(value) for key, value in content.items()}
             write_yaml(folder / file_name(name), plain)
+
+
+def _rectified(head: HeadCalibration, at: Array) -> dict[str, dict[str, Array]]:
+    """Compute R and P of the main cameras as ROS's own calibrator does; none: the head has one."""
+    pair = main_pair(head)
+    if pair is None:
+        return {}
+    lenses = [head.cameras[name].intrinsics for name in pair]
+    if (fisheye := lenses[0].model == "fisheye") != (lenses[1].model == "fisheye"):
+        raise VergenceError(f"OpenCV rectifies no fisheye lens with another: {' and '.join(pair)}.")
+    T = relative_camera_pose(head, at, cameras=pair)
+    stated = [each for lens in lenses for each in (lens.matrix, lens.distortion)]
+    shown = *stated, lenses[0].size, T[:3, :3], T[:3, 3:].copy()
+    if fisheye:
+        found = cv2.fisheye.stereoRectify(*shown, flags=cv2.CALIB_ZERO_DISPARITY)
+    else:
+        found = cv2.stereoRectify(*shown, flags=cv2.CALIB_ZERO_DISPARITY, alpha=0)
+    fields = "rectification_matrix", "projection_matrix"
+    return {name: dict(zip(fields, found[k:4:2], strict=True)) for k, name in enumerate(pair)}
 
 
 def file_name(camera: str) -> str:
@@ -102,4 +128,4 @@ def files(path: Path) -> list[Path]:
 
 def _named_camera(content: Any) -> tuple[str, Camera]:
     info = _CameraInfo.model_validate(content)
-    return info.camera_name, info.camera(LENS_MODELS[info.distortion_model])
+    return info.camera_name.replace("/", "_"), info.camera(LENS_MODELS[info.distortion_model])

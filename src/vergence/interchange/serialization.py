@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -15,7 +15,7 @@ from pydantic import BaseModel, PlainValidator, PositiveInt
 from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.files import read_parsed, unique_keys, write_whole
-from vergence.geometry.camera import Camera
+from vergence.geometry.camera import Camera, check_image_fits
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.lens import COEFFICIENTS, CameraModel
 
@@ -25,12 +25,15 @@ MAX_BYTES = 2**18
 """Largest file; a head in one of these formats has 10 kB."""
 NEGLIGIBLE = 1e-9
 """Largest skew [px] or k3 that counts as zero; it moves a pixel by about as much."""
+_NO_NUMBERS = {".nan": "nan", ".inf": "inf", "-.inf": "-inf"}
+"""What YAML writes where a number is not finite."""
 
 
 def _matrix(value: Any) -> Array:
     try:
         rows, cols, data = int(value["rows"]), int(value["cols"]), value["data"]
-        numbers = np.array(data.split() if isinstance(data, str) else data, dtype=float)
+        texts = data.split() if isinstance(data, str) else data
+        numbers = np.array([_NO_NUMBERS.get(text, text) for text in texts], dtype=float)
     except (LookupError, TypeError, ValueError, OverflowError):
         raise ValueError("expected a matrix of rows, cols and data") from None
     if not np.isfinite(numbers).all():
@@ -44,6 +47,23 @@ Matrix = Annotated[Array, PlainValidator(_matrix)]
 """(rows, cols), written as a mapping with the keys rows, cols and data."""
 
 
+def lens_of(model: CameraModel, coefficients: Sequence[float]) -> tuple[CameraModel, Array]:
+    """Find the lens of a vector of OpenCV's coefficients, which may end in zeros, or lack these.
+
+    ValueError for coefficients of a lens that is none of ours.
+    """
+    k = np.trim_zeros(np.array(coefficients, dtype=float), "b")
+    if model == "radial-tangential" and len(k) > len(COEFFICIENTS[model]):
+        model = "rational"
+    size = len(COEFFICIENTS[model])
+    if len(k) > size or 0 < len(coefficients) < 4:
+        raise ValueError(
+            f"a {model} lens has {size} distortion coefficients, and 4 at least are stated; found "
+            f"{len(coefficients)}"
+        )
+    return model, np.pad(k, (0, size - len(k)))
+
+
 class Intrinsics(BaseModel):
     """A camera with the field names that OpenCV's and ROS's files share."""
 
@@ -54,11 +74,12 @@ class Intrinsics(BaseModel):
 
     def camera(self, model: CameraModel = "radial-tangential") -> Camera:
         """Make the camera; ValueError if it has skew, or coefficients of another lens model."""
+        model, distortion = lens_of(model, self.distortion_coefficients.ravel().tolist())
         camera = Camera(
             width=self.image_width,
             height=self.image_height,
             matrix=self.camera_matrix,
-            distortion=self.distortion_coefficients.ravel(),
+            distortion=distortion,
             model=model,
         )
         if camera.matrix[0, 1] != 0:
@@ -95,7 +116,8 @@ class _TextLoader(yaml.BaseLoader):
 def parse_yaml(text: str) -> Any:
     """Parse YAML, all scalars as text; ValueError for aliases and repeated keys."""
     try:
-        return yaml.load(text, Loader=_TextLoader)
+        # OpenCV 4 begins with %YAML:1.0, which is not valid YAML; its matrices are plain mappings.
+        return yaml.load(re.sub(r"\A%YAML[^\n]*", "", text), Loader=_TextLoader)
     except yaml.YAMLError as error:
         raise ValueError(str(error)) from None
 
@@ -110,8 +132,12 @@ def read(
 def with_intrinsics(head: HeadCalibration, cameras: Mapping[str, Camera]) -> HeadCalibration:
     """Replace intrinsics of some cameras of a head, and drop its accuracy.
 
-    VergenceError if the head lacks a camera.
+    VergenceError if the head lacks a camera, or has one of another size.
     """
+    for name, camera in cameras.items():
+        check_image_fits(
+            name, head.camera(name).intrinsics, camera.size[::-1], whose="those of the file"
+        )
     mounted = {name: replace(head.camera(name), intrinsics=c) for name, c in cameras.items()}
     return replace(head, cameras={**head.cameras, **mounted}, accuracy=None)
 
@@ -148,20 +174,16 @@ def check_cameras(
     for name, mounted in head.cameras.items():
         lens = mounted.intrinsics
         skew = lens.matrix[0, 1]
-        if abs(skew) > NEGLIGIBLE:
-            raise VergenceError(
-                f"{name} has a skew of {skew:.3g} px, for which {format} has no field; set "
-                f"cameras.{name}.intrinsics.matrix[0][1] to 0 in the calibration's file. "
-                "`vergence calibrate` never estimates skew."
-            )
-        if lens.model not in models:
-            raise VergenceError(
-                f"{name} has a {lens.model} lens, which {format} cannot hold; export to opencv or "
-                f"ros, or calibrate with --lens {' or '.join(models)}."
-            )
         k3 = lens.distortion[4] if lens.model == "radial-tangential" else 0.0
-        if abs(k3) > NEGLIGIBLE and not has_k3:
-            raise VergenceError(
-                f"{name} has k3 = {k3:.3g}, for which {format} has no field; export to opencv "
-                "or ros, or calibrate with --lens radial-tangential, which has none."
-            )
+        if abs(skew) > NEGLIGIBLE:
+            what = f"a skew of {skew:.3g} px"
+        elif lens.model not in models:
+            what = f"a {lens.model} lens"
+        elif abs(k3) > NEGLIGIBLE and not has_k3:
+            what = f"k3 = {k3:.3g}"
+        else:
+            continue
+        raise VergenceError(
+            f"{name} has {what}, for which {format} has no field; export to opencv or ros, "
+            f"calibrate with --lens {' or '.join(models)}, or set it to 0 in the calibration."
+        )

@@ -44,11 +44,8 @@ def _find(grey: np.ndarray, board: CircleGrid) -> Array | None:
     spots = cv2.SimpleBlobDetector.create(parameters)
     size = board.columns, board.rows
     kind = cv2.CALIB_CB_ASYMMETRIC_GRID if board.asymmetric else cv2.CALIB_CB_SYMMETRIC_GRID
-    for flags in (kind, kind | cv2.CALIB_CB_CLUSTERING):
-        found, centres = cv2.findCirclesGrid(grey, size, flags=flags, blobDetector=spots)
-        if found:
-            return np.reshape(centres, (board.rows, board.columns, 2)).astype(float)
-    return None
+    found, centres = cv2.findCirclesGrid(grey, size, flags=kind, blobDetector=spots)
+    return np.reshape(centres, (board.rows, board.columns, 2)).astype(float) if found else None
 
 
 def _right_handed(grid: Array, board: CircleGrid) -> Array:
