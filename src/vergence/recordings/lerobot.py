@@ -99,7 +99,7 @@ def _filled(template: str, known: Mapping[str, Any], part: str) -> str:
 
 
 def _rows(root: Path, name: str, index: int, stack: ExitStack) -> tuple[Any, Any, np.ndarray]:
-    """Open a parquet file, read all but images, and find the rows of an episode."""
+    """Open a parquet file, read its columns without images, and find the rows of an episode."""
     file = series.inside(root, name)
     opened = stack.enter_context(parquet.ParquetFile(file))
     about, schema = opened.metadata, opened.schema_arrow

@@ -55,7 +55,8 @@ def recording_of(path: Path, every: Iterable[Series]) -> Recording:
 def _read(
     every: list[Series], names: Collection[str], start: int | None, stop: int | None
 ) -> Iterator[Message]:
-    first, end = start or -(2**63), 2**63 - 1 if stop is None else stop
+    first = -(2**63) if start is None else start
+    end = 2**63 - 1 if stop is None else stop
 
     def messages(each: Series) -> Iterator[Message]:
         received = each.stamp_ns if each.received_ns is None else each.received_ns
