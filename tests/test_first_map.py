@@ -12,6 +12,7 @@ from recordings import CHARUCO, held, picture
 from vergence.errors import VergenceError
 from vergence.files import validated
 from vergence.geometry.board import Charuco, Chessboard
+from vergence.geometry.camera import pinhole
 from vergence.recordings.first_map import first_map
 from vergence.recordings.recording import (
     Channel,
@@ -38,6 +39,7 @@ def recorded(
     *,
     pictures: tuple[np.ndarray, ...] = (GREY,),
     channel: str = "/joint_states",
+    lenses: tuple[str, ...] = (),
 ) -> Recorded:
     """Return cameras that give pictures in turn, and joints that read from -x to x."""
     values = np.array([*joints.values()])
@@ -45,6 +47,8 @@ def recorded(
     content[channel] = tuple(JointSample(tuple(joints), sign * values) for sign in (-1, 1))
     kinds: dict[str, Kind] = {name: "images" for name in cameras}
     kinds[channel] = "joints"
+    for name in lenses:
+        kinds[name], content[name] = "lens", (pinhole(32, 24, 30.0),)
 
     def read(names, start, stop):
         for name in names:
@@ -112,8 +116,11 @@ def test_the_joints_of_a_recorded_icub_are_known_by_their_order():
 def test_channels_that_are_not_the_head_s_cameras_are_left_out():
     others = ("/stereo/left/image_rect", "/stereo/left/image_raw/compressed", "/stereo/left/depth",
               "/left_wrist/image_raw", "/overhead/image_raw")  # fmt: skip
-    mapped = guessed(recorded((*others, *STEREO), dict.fromkeys(PAN_TILT, 0.3)))
+    lenses = tuple(name.replace("image_raw", "camera_info") for name in STEREO)
+    found = recorded((*others, *STEREO), dict.fromkeys(PAN_TILT, 0.3), lenses=lenses)
+    mapped = guessed(found)
     assert [each.images for each in mapped.cameras.values()] == list(STEREO)
+    assert [each.lens for each in mapped.cameras.values()] == list(lenses)
 
 
 def test_two_cameras_of_an_eye_are_told_apart():

@@ -193,4 +193,4 @@ def test_poses_of_eyes_come_from_a_tree_of_frames():
     recording = Recording(Path("bag"), {"/tf": Channel("/tf", "poses", "", 3)}, read)
     assert needed_frames(recording, sources) == set(tracks)
     with pytest.raises(VergenceError, match="does not connect the frames base and ear"):
-        needed_frames(recording, dict.fromkeys(EYES, PoseSource(base="base", eye="ear")))
+        needed_frames(recording, {side: PoseSource(base="base", eye="ear") for side in EYES})

@@ -99,7 +99,7 @@ def _cameras(scanned: Scan) -> dict[str, tuple[str, str]]:
 def _camera_of(channel: str) -> str:
     """Strip the last part of a topic, such as image_raw, and how it is compressed."""
     camera, _, last = channel.removesuffix("/compressed").rpartition("/")
-    return camera if camera and not _read_name(last) else channel
+    return camera if camera and (last == "camera_info" or not _read_name(last)) else channel
 
 
 def _some_images(
