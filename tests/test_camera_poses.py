@@ -22,9 +22,8 @@ from vergence.geometry.kinematics import EYE_JOINTS, EYES
 from vergence.geometry.parameters import change_named, lens_vector
 from vergence.geometry.projection import camera_pose, project_point
 from vergence.geometry.se3 import boxminus, inverse, transform
-from vergence.recordings.camera_poses import CameraPoses, recording_poses
+from vergence.recordings.camera_poses import CameraPoses, recording_poses, write_poses
 from vergence.recordings.formats import open_recording
-from vergence.recordings.pose_files import write_poses
 from vergence.recordings.recording_map import CameraSource, RecordingMap, describe
 from vergence.recordings.scan import ImageTrack, JointTrack, Scan, scan
 

@@ -148,10 +148,9 @@ def export_poses(
             the folder that holds the recording.
     """
     from vergence.data.description import DESCRIPTION
-    from vergence.recordings.camera_poses import dataset_poses, recording_poses
+    from vergence.recordings.camera_poses import dataset_poses, recording_poses, write_poses
     from vergence.recordings.formats import open_recording
     from vergence.recordings.mapped_scan import on_the_clock, scan_mapped
-    from vergence.recordings.pose_files import write_poses
 
     if format == "tf" and out.exists():
         raise VergenceError(f"{out} already exists; name another bag, or remove it.")

@@ -1,4 +1,4 @@
-"""Where the cameras of a calibrated head were when they took the images of a recording.
+"""Where the cameras of a head were when they took the images of a recording, as a table or a bag.
 
 The joint readings of an image are those of its moment: they are interpolated between the readings
 around it, by the time stamps and the calibrated time offset.
@@ -6,15 +6,22 @@ around it, by the time stamps and the calibrated time offset.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
 
 import numpy as np
+import pyarrow
+from pyarrow import csv, parquet
+from scipy.spatial.transform import Rotation
 
 from vergence.arrays import Array
 from vergence.data.dataset import Dataset, check_readings_match, readings_at_images, runs
 from vergence.data.dataset import time_offset as offset_of
 from vergence.data.description import Description
-from vergence.geometry.camera import check_image_fits
+from vergence.files import whole_file
+from vergence.geometry.camera import check_image_fits, intrinsics_names
 from vergence.geometry.eye_motion import camera_motion, eye_poses, measured
 from vergence.geometry.head import (
     HeadCalibration,
@@ -25,12 +32,14 @@ from vergence.geometry.head import (
     states_covariance,
 )
 from vergence.geometry.kinematics import EYES
-from vergence.geometry.parameters import named_columns
+from vergence.geometry.parameters import lens_vector, named_columns
 from vergence.geometry.projection import camera_pose
 from vergence.geometry.se3 import POSE, hat
 from vergence.progress import Progress, silent
 from vergence.recordings import pose_tracks
+from vergence.recordings.bag import message, write_bag
 from vergence.recordings.moments import readings_at
+from vergence.recordings.recording import FramePose
 from vergence.recordings.recording_map import RecordingMap
 from vergence.recordings.scan import Scan
 
@@ -165,3 +174,54 @@ def _deviations(head: HeadCalibration, camera: str, readings: Array) -> Array:
     variances = np.einsum("ij,jk,ik->i", J, covariance, J)
     variances += ((motion.by_readings * reading_stds(head)) ** 2).sum(axis=1)
     return np.sqrt(variances.reshape(2, 3).sum(axis=1))
+
+
+def write_poses(
+    poses: Sequence[CameraPoses],
+    head: HeadCalibration,
+    path: Path,
+    format: Literal["csv", "parquet", "tf"],
+) -> None:
+    """Write poses as a table, or into a new bag as transforms (tf) from frame head to the cameras.
+
+    A bag is one of ROS 1 if the path ends in .bag, else a folder with one of ROS 2 in MCAP.
+    VergenceError if it cannot be written.
+    """
+    if format == "tf":
+        messages = [
+            message("/tf", stamp_ns, (FramePose("head", each.camera, T),))
+            for each in poses
+            for stamp_ns, T in zip(each.stamp_ns.tolist(), each.T_head_cam, strict=True)
+        ]
+        messages.sort(key=lambda each: each.stamp_ns)
+        write_bag(path, messages, storage="ros1" if path.suffix == ".bag" else "mcap")
+        return
+    table = pyarrow.concat_tables(
+        [pose_table(each, head) for each in poses], promote_options="default"
+    )
+    with whole_file(path) as part:
+        (csv.write_csv if format == "csv" else parquet.write_table)(table, part)
+
+
+def pose_table(poses: CameraPoses, head: HeadCalibration) -> pyarrow.Table:
+    """Arrange the poses of a camera as a table of N rows, with its lens.
+
+    The pose maps coordinates of the camera into frame head; its quaternion is (qx, qy, qz, qw).
+    """
+    lens, N = head.cameras[poses.camera].intrinsics, len(poses.index)
+    turns = Rotation.from_matrix(poses.T_head_cam[:, :3, :3]).as_quat(canonical=True)
+    readings = [] if measured(poses.readings) else [f"{r}_rad" for r in head.kinematics.readings]
+    of_images = [np.full(N, poses.camera), poses.image.astype(str), poses.index, poses.stamp_ns]
+    of_images += [*poses.T_head_cam[:, :3, 3].T, *turns.T, *poses.std.T]
+    of_images += [*poses.readings.T] if readings else []
+    names = ["camera", "image", "index", "stamp_ns", "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw"]
+    names += ["angle_std_rad", "position_std_m", *readings]
+    of_camera = [lens.width, lens.height, lens.model, lens.matrix[0, 1]]
+    of_camera += lens_vector(lens).tolist()
+    constant = ["width", "height", "lens", "skew", *intrinsics_names(lens)]
+    columns = {
+        name: pyarrow.array(column, from_pandas=True)  # NaN is null
+        for name, column in zip(names, of_images, strict=True)
+    }
+    columns |= {name: [value] * N for name, value in zip(constant, of_camera, strict=True)}
+    return pyarrow.table(columns)
