@@ -9,6 +9,7 @@ from board_sessions import random_session
 from simulated_head import random_head
 from simulated_moments import Found, Imperfections, find_frames, observe_moments
 from simulated_recording import BOARD
+from vergence.geometry.se3 import boxplus
 from vergence.recordings.frame_choice import choose_frames
 from vergence.recordings.recording_map import FrameChoice
 
@@ -51,6 +52,19 @@ def test_motions_are_kept_with_the_placement_of_the_board_around_them():
         rest = np.flatnonzero(~found.chosen.moving & (found.number >= 0))
         k = np.searchsorted(found.time_s[rest], t)
         assert number == found.number[rest[k - 1]] == found.number[rest[k]]
+
+
+@pytest.mark.parametrize("how", [Imperfections(), Imperfections(noise_rad=2e-4, gains=0.01)])
+def test_moves_of_three_centimetres_while_the_eyes_turn_are_found(how):
+    rng = np.random.default_rng(9)
+    head = random_head(rng, lenses=("wide",))
+    session = random_session(head, BOARD, rng, moves=3, rests=18, nudge=0)
+    hand, T = [], session.T_lbase_target
+    for k in (4, 9, 14):
+        T = boxplus(T, rng.normal(0, [0.05] * 3 + [0.02] * 3))
+        begin, end, _ = session.gaze[k]
+        hand.append((begin, max(end, begin + 0.5), T))
+    assert not find_frames(head, replace(session, hand=hand), rng, how).mistakes
 
 
 def test_what_is_stated_is_taken():

@@ -18,7 +18,7 @@ from scipy.stats import chi2
 
 from vergence.arrays import Array
 from vergence.calibration.board_numbering import nearest_numbering
-from vergence.calibration.hand_eye import park_martin
+from vergence.calibration.hand_eye import park_martin, solve_rotation
 from vergence.calibration.intrinsics import calibrate_camera
 from vergence.calibration.lenses import LensModel
 from vergence.data.description import DatasetCamera, Description
@@ -28,6 +28,7 @@ from vergence.geometry.camera import Camera, pinhole, project
 from vergence.geometry.eye_motion import eye_linearised
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.se3 import (
+    angle,
     boxminus,
     boxplus,
     hat,
@@ -50,6 +51,8 @@ from vergence.vision.board_pose import (
 READING_RAD = np.radians(0.5), np.radians(0.01), np.radians(1.0)
 """Deviation of readings assumed first, least and largest [rad]: half of a backlash of one degree;
 below a good encoder; a hobby servo."""
+GAIN_STD = 0.03
+"""Deviation of gains from one, of servos and of gears."""
 GATE = float(chi2.isf(1e-6, 6))
 """Squared distance of six standard normal numbers from which a board has moved."""
 TURNS_RAD, TURNS_PART = np.radians(1.5), 0.05
@@ -58,8 +61,8 @@ explain."""
 SUCCESSIVE, LEAST_PAIRS = 3, 6
 """Views that place the camera for a start, and fewest pairs that agree with it: all of four views.
 """
-ROUNDS = 8
-"""Steps of the robust estimate; it changes by far less than it errs after six."""
+EASES = 10.0, 3.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0
+"""Factors on GATE in the steps of the robust estimate, whose start is off by a centimetre."""
 LENSES: tuple[LensModel, ...] = ("radial-tangential", "fisheye")
 """Lenses that are tried in turn, until one is good enough."""
 GOOD_LENS_PX, BEST_LENS_PX = 0.5, 0.05
@@ -149,7 +152,9 @@ def squared_distances(views: BoardViews, i: np.ndarray, k: np.ndarray) -> Array:
     """
     T_eye_cam, reading_rad = _consensus(views, i, k), READING_RAD[0]
     squared = np.full(len(i), np.nan)
-    for _ in range(ROUNDS if T_eye_cam is not None else 0):
+    turned_rad = angle((inverse(views.T_base_eye[i]) @ views.T_base_eye[k])[:, :3, :3])
+    by_gains = (GAIN_STD * turned_rad) ** 2 / 2  # of the sum of two
+    for ease in EASES if T_eye_cam is not None else ():
         T_base_cam = views.T_base_eye @ T_eye_cam
         T = T_base_cam @ views.T_cam_target
         arms = (T[:, :3, 3] - each[:, :3, 3] for each in (T_base_cam, views.T_base_eye))
@@ -159,9 +164,9 @@ def squared_distances(views: BoardViews, i: np.ndarray, k: np.ndarray) -> Array:
         by_readings = by_errors @ np.swapaxes(by_errors, 1, 2)
         away, by_camera, J = boxminus(T[k], T[i]), by_camera[k] - by_camera[i], by_errors[k]
         by_corners, by_readings = (C[i] + C[k] for C in (by_corners, by_readings))
-        W = np.linalg.inv(by_corners + reading_rad**2 * by_readings)
+        W = np.linalg.inv(by_corners + (reading_rad**2 + by_gains)[:, None, None] * by_readings)
         squared = np.einsum("pi,pij,pj->p", away, W, away)
-        W *= ((1 + squared / GATE) ** -2)[:, None, None]  # Geman and McClure's weight
+        W *= ((1 + squared / (ease * GATE)) ** -2)[:, None, None]  # of Geman and McClure
         normal = np.einsum("pia,pij,pjb->ab", by_camera, W, by_camera)
         right = np.einsum("pia,pij,pj->a", by_camera, W, away)
         T_eye_cam = boxplus(T_eye_cam, -np.linalg.pinv(normal, 1e-9, hermitian=True) @ right)
@@ -169,9 +174,10 @@ def squared_distances(views: BoardViews, i: np.ndarray, k: np.ndarray) -> Array:
         if near.sum() >= LEAST_PAIRS:
             J_W = np.swapaxes(J, 1, 2)[near] @ np.linalg.inv(by_corners[near])
             errors = np.linalg.solve(J_W @ J[near], J_W @ away[near, :, None])
-            # The deviation by the median, of differences of two.
-            reading_rad = np.median(np.abs(errors), axis=0).max() * 1.48 / np.sqrt(2)
-            reading_rad = float(np.clip(reading_rad, *READING_RAD[1:]))
+            # The deviation by the median, of differences of two; less by half at most in a step.
+            median = float(np.median(np.abs(errors), axis=0).max())
+            least, most = READING_RAD[1:]
+            reading_rad = min(max(1.05 * median, least, reading_rad / 2), most)
     return squared
 
 
@@ -191,18 +197,21 @@ def _consensus(views: BoardViews, i: np.ndarray, k: np.ndarray) -> Array | None:
     A reading of the wrong sign looks like another mounting, to first order.
     """
     E, T = views.T_base_eye, views.T_cam_target
-    by_eye, by_camera = (
-        rotvec((A @ inverse(B))[:, :3, :3])
-        for A, B in ((inverse(E[i]), inverse(E[k])), (T[i], T[k]))
-    )
+    i, k = i[k - i <= SUCCESSIVE], k[k - i <= SUCCESSIVE]
+    A, B = inverse(E[i]) @ E[k], T[i] @ inverse(T[k])
+    by_eye, by_camera = rotvec(A[:, :3, :3]), rotvec(B[:, :3, :3])
     turn = np.linalg.norm(by_eye, axis=1)
     allowed = TURNS_RAD + TURNS_PART * turn
-    best, most = None, LEAST_PAIRS - 1
+    best = np.zeros(len(i), bool)
     for first in range(len(E) - SUCCESSIVE + 1):
         few = slice(first, first + SUCCESSIVE)
         with suppress(VergenceError):
-            T_eye_cam = park_martin(E[few], T[few])
-            away = np.linalg.norm(by_eye - by_camera @ T_eye_cam[:3, :3].T, axis=1)
-            agreeing = np.count_nonzero((away < allowed) & (turn > allowed))
-            best, most = (T_eye_cam, agreeing) if agreeing > most else (best, most)
-    return best
+            R = park_martin(E[few], T[few])[:3, :3]
+            agreeing = np.linalg.norm(by_eye - by_camera @ R.T, axis=1) < allowed
+            best = max(best, agreeing & (turn > allowed), key=np.count_nonzero)
+    if np.count_nonzero(best) < LEAST_PAIRS:
+        return None
+    R = solve_rotation(by_eye[best], by_camera[best])
+    right = A[best, :3, 3] - B[best, :3, 3] @ R.T
+    left = (np.eye(3) - A[best, :3, :3]).reshape(-1, 3)
+    return pose(R, np.linalg.lstsq(left, right.ravel(), rcond=0.01)[0])

@@ -26,7 +26,7 @@ noise; and share of those at rest at which noise of readings may pass for motion
 BRIGHTER = 2.0
 """Factor up to which the noise of images differs between dark parts of a scene and bright ones."""
 UNSEEN_RAD, NOISIEST_RAD = 6e-4, 0.042
-"""Range of a reading within a window [rad], or of a position [m], that hardly moves an image (by
+"""Range of a reading within a window [rad], or of a position [m], that moves an image little (by
 0.3 px at a focal length of 500 px); and largest one by noise, that of servos with 0.4 degrees."""
 STILL_PX = 0.3
 """Motion of images within scan.LAG_NS [px] that does not matter: at 1.5 px/s none is blurred, and a
