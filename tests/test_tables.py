@@ -95,6 +95,16 @@ def test_a_video_has_the_stamps_of_a_csv(tmp_path):
     assert "wide has 40 images, but 39 stamps" in refusal(tmp_path)
 
 
+@pytest.mark.parametrize("names", [("a", "b"), ("9" * 30, "1"), ("9" * 19, "1"), ("1.0", "nan")])
+def test_images_without_stamps_are_listed_as_such(tmp_path, names):
+    write_tables(tmp_path)
+    for name in names:
+        write_image(tmp_path / "third" / f"{name}.png", IMAGES["left"][0])
+    with open_recording(tmp_path) as recording:
+        assert recording.channels["third"].kind == "other"
+        assert "without stamps" in recording.channels["third"].type
+
+
 def test_images_numbered_by_frames_need_a_csv(tmp_path):
     write_tables(tmp_path)
     for k, image in enumerate(IMAGES["left"]):

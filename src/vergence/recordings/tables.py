@@ -35,8 +35,7 @@ _TIME = re.compile(r"time|stamp|(^|[^a-z])(ts?|secs?|seconds|[mun]s)([^a-z]|$)")
 _STAMPS = r"([/_.-]?(time|stamp|frame)\w*)?"
 """What may follow the name of images in the name of a csv of their stamps."""
 _NUMBER = re.compile(r"[+-]?\d*\.?\d+(e[+-]?\d+)?", re.IGNORECASE)
-_LAST_NUMBER = re.compile(r"(\d{1,30}(?:\.\d{1,30})?)\D*$")
-
+_LAST_NUMBER = re.compile(r"(?<!\d)(\d{1,19}(?:\.\d{1,30})?)\D*$")
 
 _Table = tuple[str, np.ndarray, dict[str, Array], dict[str, list[str | None]]]
 """Of N rows: the unit of the times as it was recognised, stamps (N,) [ns], and by column numbers
@@ -121,6 +120,9 @@ def _stamps_in(files: list[str]) -> tuple[str, np.ndarray]:
     found = [_LAST_NUMBER.search(PurePosixPath(file).stem) for file in files]
     texts = [match[1] if match else "nan" for match in found]
     values = np.array([int(text) if text.isdecimal() else float(text) for text in texts])
+    values = (
+        values.astype(float) if values.dtype == object else values
+    )  # of integers beyond 64 bits
     return read_stamps(values, "the number in names of images", posixpath.dirname(files[0]))
 
 
