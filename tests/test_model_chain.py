@@ -11,8 +11,10 @@ import pytest
 
 from vergence.cli.head import as_toml
 from vergence.errors import VergenceError
+from vergence.geometry.head import base_pose, camera_pose_in_base
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.se3 import pose
+from vergence.interchange import urdf
 from vergence.twin.head_checks import disagreement
 from vergence.twin.head_model import HeadModel, load_head_model
 from vergence.twin.model_readings import model_readings
@@ -204,6 +206,22 @@ def test_links_that_are_called_cameras_are_cameras(tmp_path):
     assert found.cameras == {"left_optical": "left_optical", "right_optical": "right_optical"}
     np.testing.assert_allclose(found.T_base_head, np.eye(4), atol=1e-12)
     assert disagreement(of) < 1e-9
+
+
+def test_an_exported_urdf_is_found_to_be_the_same_head(tmp_path):
+    of = load_head_model()
+    urdf.save(of.designed.head, tmp_path / "head.urdf", of.limits)
+    again = load_head_model(tmp_path / "head.urdf")
+    ours, theirs = of.designed.head, again.designed.head
+    assert theirs.kinematics.readings == ours.kinematics.readings
+    np.testing.assert_allclose(again.limits.range_rad, of.limits.range_rad)
+    np.testing.assert_allclose(theirs.neck.points_m, ours.neck.points_m, atol=1e-12)
+    for readings in np.random.default_rng(0).uniform(-0.5, 0.5, (5, 4)):
+        for frame, mounted in theirs.cameras.items():  # one of each eye
+            found = base_pose(theirs, mounted.eye) @ camera_pose_in_base(theirs, frame, readings)
+            name = frame.removesuffix("_optical_frame")
+            expected = base_pose(ours, mounted.eye) @ camera_pose_in_base(ours, name, readings)
+            np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
 @pytest.mark.parametrize(

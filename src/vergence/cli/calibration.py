@@ -134,6 +134,7 @@ def export(
     format: Literal["kalibr", "ros", "opencv", "urdf"],
     out: Path,
     at: Optional[tuple[float, ...]] = None,
+    head: Optional[Path] = None,
 ) -> Report:
     """Write a calibration in another program's format.
 
@@ -143,15 +144,21 @@ def export(
         out: File or folder to write.
         at: Joint readings [rad] at which the cameras stand in files of kalibr and ros; default:
             straight gaze, and no rectification of moving eyes.
+        head: A head.toml, whose limits the joints of a urdf get; default: a quarter turn.
     """
     from vergence.interchange import ros
 
-    head = vg.load_head(calibration)
+    calibrated, limits = vg.load_head(calibration), None
     if format == "ros":
-        check_outputs(folder=out, names=map(ros.file_name, head.cameras), inputs=[calibration])
+        names = map(ros.file_name, calibrated.cameras)
+        check_outputs(folder=out, names=names, inputs=[calibration])
     else:
-        check_outputs(out, inputs=[calibration])
-    vg.export_head(head, out, format, at=at)
+        check_outputs(out, inputs=[calibration, head])
+    if head is not None:  # the twin, and with it mujoco, is not needed without
+        from vergence.twin.head_model import load_head_model
+
+        limits = load_head_model(head).limits
+    vg.export_head(calibrated, out, format, at=at, limits=limits)
     return Report("Export", (), None, files=f"Wrote {out}.")
 
 

@@ -59,9 +59,11 @@ def _complete_urdf(root: ElementTree.Element, path: Path) -> str:
                 mesh.set("filename", str(file))
                 if file.suffix.lower() not in MESHES:
                     link.remove(shape)
-    settings = ElementTree.SubElement(root, "mujoco")
-    wanted = {"fusestatic": "false", "discardvisual": "false", "strippath": "false"}
-    ElementTree.SubElement(settings, "compiler", wanted)
+    settings = root.find("mujoco")
+    settings = ElementTree.SubElement(root, "mujoco") if settings is None else settings
+    compiler = settings.find("compiler")
+    compiler = ElementTree.SubElement(settings, "compiler") if compiler is None else compiler
+    compiler.attrib |= {"fusestatic": "false", "discardvisual": "false", "strippath": "false"}
     return ElementTree.tostring(root, encoding="unicode")
 
 
