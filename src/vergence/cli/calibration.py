@@ -33,8 +33,8 @@ def calibrate(
     """Calibrate a head from a dataset, and state the accuracy.
 
     Args:
-        dataset: Folder with dataset.json, frames.csv and images, or a robot's recording with a
-            map.toml beside it (see import-recording).
+        dataset: Folder with dataset.json, frames.csv and images, or a robot's recording with
+            map.toml in its folder (see import-recording).
         out: JSON file of the calibration. A VOID one does not replace an earlier file: it is
             written into NAME.void.json.
         report: Folder for report.md, its pictures and a recording of the dataset.
@@ -84,9 +84,9 @@ def self_calibrate(
     """Correct a calibration by what both eyes see of the scene, without a board.
 
     Args:
-        dataset: Folder with dataset.json, frames.csv and images, or a robot's recording with a
-            map.toml beside it. Rows with moving eyes are used or, without such rows, all rows that
-            both main cameras see.
+        dataset: Folder with dataset.json, frames.csv and images, or a robot's recording with
+            map.toml in its folder. Rows with moving eyes are used or, without such rows, all rows
+            that both main cameras see.
         calibration: JSON file that `vergence calibrate` wrote, of the same head.
         out: JSON file of the learned calibration.
         json: JSON file of what was observed of each parameter.

@@ -33,8 +33,8 @@ MAP = "map.toml"
 UNKNOWN = "?"
 """Stands in a first map for what cannot be guessed."""
 MAX_GAP_S = 0.1
-"""Longest time between readings [s] between which one is interpolated, if the map states none:
-eyes that turn at a steady rate are at most some milliradians beside the line."""
+"""Longest time [s] over which readings are interpolated, if the map states none: eyes that swing by
+0.2 rad at 0.5 Hz are then at most 2.5 mrad off the line."""
 MAX_MAP_BYTES = 2**18
 """Largest map [bytes]; one of 64 cameras has 20 kB."""
 Span = tuple[float, float]
@@ -73,7 +73,7 @@ class FrameChoice:
     moving: tuple[Span, ...] | None = None
     """Spans in which the eyes move and the board stands still."""
     placements: tuple[Span, ...] | None = None
-    """Spans in each of which the board stands still in frame head, whatever the eyes do."""
+    """Spans in which the board stays at one place in frame head, whatever the eyes do."""
 
 
 @dataclass(frozen=True, eq=False, config=_STRICT)
