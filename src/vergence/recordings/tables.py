@@ -120,9 +120,8 @@ def _stamps_in(files: list[str]) -> tuple[str, np.ndarray]:
     found = [_LAST_NUMBER.search(PurePosixPath(file).stem) for file in files]
     texts = [match[1] if match else "nan" for match in found]
     values = np.array([int(text) if text.isdecimal() else float(text) for text in texts])
-    values = (
-        values.astype(float) if values.dtype == object else values
-    )  # of integers beyond 64 bits
+    if values.dtype == object:  # of integers beyond 64 bits
+        values = values.astype(float)
     return read_stamps(values, "the number in names of images", posixpath.dirname(files[0]))
 
 
