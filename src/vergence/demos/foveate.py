@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -28,7 +27,13 @@ from vergence.gaze.state import GazePhase, GazeSettings, GazeState, initial_gaze
 from vergence.progress import Progress, silent
 from vergence.self_calibration.calibrator import VisualGeometry
 from vergence.twin.head import Twin
-from vergence.twin.simulated_robot import FRAME_S, SimulatedHead, foveal_errors, unoccluded
+from vergence.twin.simulated_robot import (
+    FRAME_S,
+    SimulatedHead,
+    foveal_errors,
+    reachable,
+    unoccluded,
+)
 from vergence.viewer.plots.accuracy import draw_foveation
 from vergence.viewer.plots.canvas import save
 
@@ -171,7 +176,11 @@ def foveate(
         if experiment.out is not None:
             save(draw_foveation(settings.calibration), experiment.out / "depth.png")
         radius_m = 0.02  # of the object
-        where = targets(trials, experiment.seed, free=partial(unoccluded, twin, margin_m=radius_m))
+
+        def free(places: Array) -> np.ndarray:
+            return unoccluded(twin, places, margin_m=radius_m) & reachable(twin, settings, places)
+
+        where = targets(trials, experiment.seed, free=free)
 
         def record(state: GazeState, frame: Frame | None) -> None:
             if len(made) < 10:  # to keep the file small

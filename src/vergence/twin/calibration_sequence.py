@@ -297,4 +297,5 @@ def observations(
         corners=corners,
         sizes={n: m.intrinsics.size for n, m in head.cameras.items()},
         kinematics=head.kinematics,
+        eyes={n: m.eye for n, m in head.cameras.items()},
     )

@@ -22,6 +22,7 @@ from vergence.gaze.commands import (
     hold,
     setpoint,
 )
+from vergence.gaze.foveation import gaze_angles
 from vergence.gaze.state import GazeSettings
 from vergence.geometry.head import base_pose
 from vergence.geometry.projection import project_point
@@ -189,15 +190,37 @@ def true_pixels(twin: Twin, settings: GazeSettings) -> Array:
 
 
 def foveal_errors(twin: Twin, settings: GazeSettings) -> Array:
-    """Compute the object's distances (E,) [px] from the principal points of the calibration.
+    """Compute the object's distances (E,) [px] from where the calibration would have it.
 
+    That is the principal points, or beside them for eyes that cannot turn to it one by one.
     Infinite where the object is behind a camera.
     """
-    cameras = settings.calibration.cameras
-    centres = [cameras[name].intrinsics.matrix[:2, 2] for name in settings.narrow]
-    offsets = true_pixels(twin, settings) - centres
+    wanted = best_pixels(settings, twin.true_object()[None])[1][0]
+    offsets = true_pixels(twin, settings) - wanted
     errors = np.array([np.linalg.norm(offset) for offset in offsets], float)
     return np.nan_to_num(errors, nan=np.inf)
+
+
+def best_pixels(settings: GazeSettings, places: Array) -> tuple[Array, Array]:
+    """Compute readings (N, r) that look at places (N, 3) [m] from the left eye, and the pixels.
+
+    The pixels (N, E, 2) are those in the narrow or only camera of each of the E eyes in use.
+    """
+    head, names = settings.calibration, settings.narrow
+    readings = gaze_angles(head, places, cameras=names)
+    pixels = [project_point(head, name, readings, places) for name in names]
+    return readings, np.stack(pixels, axis=1)
+
+
+def reachable(twin: Twin, settings: GazeSettings, places_head: Array) -> np.ndarray:
+    """Test (N,) to which places (N, 3) [m] in frame head the eyes can turn, and see them there."""
+    places = transform(inverse(base_pose(settings.calibration, "left")), places_head)
+    readings, pixels = best_pixels(settings, places)
+    lower, upper = twin.limits.setpoint_range_rad[settings.readings].T
+    sizes = [settings.calibration.camera(name).intrinsics.size for name in settings.narrow]
+    margin = 0.1 * np.array(sizes)
+    seen = ((pixels > margin) & (pixels < sizes - margin)).all(axis=(1, 2))
+    return seen & ((readings >= lower) & (readings <= upper)).all(axis=1)
 
 
 def in_all_foveas(twin: Twin, settings: GazeSettings) -> bool:
