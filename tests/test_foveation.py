@@ -25,13 +25,18 @@ from vergence.vision.sphere import find_sphere
 
 SEEDS = range(20)
 DEPTHS = np.geomspace(0.15, 50, 40)
+FINER = np.array([[4.0, 4, 1], [1, 4, 1], [1, 1, 1]])
 
 
 def head(seed: int, *, distorted: bool = True) -> HeadCalibration:
     """Return a random head whose two cameras of an eye are 30 mm apart."""
     made = skewed_head(np.random.default_rng(seed), distorted=distorted)
     cameras = {
-        name: replace(mounted, T_eye_cam=pose(t=[0, 0, -0.03]) @ mounted.T_eye_cam)
+        name: replace(
+            mounted,
+            T_eye_cam=pose(t=[0, 0, -0.03]) @ mounted.T_eye_cam,
+            intrinsics=replace(mounted.intrinsics, matrix=mounted.intrinsics.matrix * FINER),
+        )
         if name.endswith("narrow")
         else mounted
         for name, mounted in made.cameras.items()

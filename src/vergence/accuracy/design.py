@@ -72,7 +72,7 @@ def reading_std(counts_per_turn: ArrayLike, noise_deg: ArrayLike) -> Array:
     return np.hypot(step / np.sqrt(12), np.radians(noise_deg))  # errors of rounding are uniform
 
 
-CAMERAS = "left_camera", "right_camera"
+CAMERAS = "left_main", "right_main"
 """Names of the cameras of a designed head."""
 
 

@@ -203,7 +203,7 @@ def bundle_adjust(
     if unknown:
         raise VergenceError(
             f"There is no parameter {min(unknown)!r} to fix; there are, for example, "
-            "left_wide.fx, left_wide.T_eye_cam.rx, left.pan_gain and time_offset_s."
+            "<camera>.fx, <camera>.T_eye_cam.rx, left.pan_gain and time_offset_s."
         )
     own = {name: intrinsics_names(lens) for name, lens in kept.items()}
     fixed = {*fixed, *(f"{name}.{each}" for name in own for each in own[name])}

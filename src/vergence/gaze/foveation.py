@@ -125,8 +125,9 @@ def solve_fixation(calibration: HeadCalibration, targets: Mapping[str, Array]) -
     factors = kinematics.gear_ratios[used]  # steps are those of joints, also before a gear
     readings = np.zeros((*usable.shape, len(kinematics.readings)))
     readings[..., used] = least_readings(np.concatenate(maps), np.concatenate(turns, axis=-1))
-    # Eyes that share a joint cannot both be centred: 0.1 of x/z and y/z is the most to accept.
-    reached = _CONVERGED if 2 * len(targets) <= len(used) else 0.1
+    # Eyes that share a joint cannot both be centred: 0.5 of x/z and y/z, the edge of a usual image,
+    # is the most to accept.
+    reached = _CONVERGED if 2 * len(targets) <= len(used) else 0.5
     settled, front = np.zeros(usable.shape, dtype=bool), usable
     for _ in range(20):  # most points need four steps
         seen = [_off_centre(kinematics, cameras[name], readings, p) for name, p in points.items()]
