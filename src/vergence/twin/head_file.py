@@ -11,7 +11,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field
 
 from vergence.arrays import Vector3
 from vergence.files import read_parsed, validated
@@ -30,7 +30,8 @@ class _Table(BaseModel):
 
 
 class LensFile(_Table):
-    """A lens: exactly one of field of view, focal length and camera_info, or the model's own."""
+    """A lens: camera_info, a field of view or a focal length, the first that is stated; else the
+    model's."""
 
     fov_deg: Annotated[float, Field(gt=0, lt=179)] | None = None
     """Horizontal field of view, without distortion."""
@@ -42,15 +43,6 @@ class LensFile(_Table):
     """Of the distortion below."""
     distortion: tuple[float, ...] = ()
     """Coefficients in the order of `geometry.lens.COEFFICIENTS`; empty: none."""
-
-    @model_validator(mode="after")
-    def _check(self) -> LensFile:
-        stated = [n for n in ("fov_deg", "focal_mm", "camera_info") if getattr(self, n) is not None]
-        if len(stated) > 1:
-            raise ValueError(f"give one of {' and '.join(stated)}, not both")
-        if self.camera_info is not None and self.distortion:
-            raise ValueError("camera_info has the distortion already")
-        return self
 
 
 class CameraFile(LensFile):
@@ -96,17 +88,6 @@ class JointFile(_Table):
     """A point on its axis in that body; default: the origin."""
 
 
-class ReadingFile(_Table):
-    """Limits of a reading; by default those of the joints that it moves.
-
-    A joint of several readings has its range divided equally among them by default, so that no
-    combination of them leaves it.
-    """
-
-    range_deg: tuple[float, float] | None = None
-    speed_deg_s: Annotated[float, Field(gt=0)] | None = None
-
-
 class HeadFile(_Table):
     """Content of head.toml."""
 
@@ -114,24 +95,21 @@ class HeadFile(_Table):
     """MJCF or URDF file, beside this one."""
     base: Name | None = None
     """Body that is the head: the joints beyond it move the cameras, those before it are the neck's.
-    Default: the last body that carries all cameras and has a joint before each of them."""
+    Default: the body before the joints of the eyes."""
     forward: Vector3 | None = None
     """Direction in the base's frame in which the eyes look with every joint at zero; default: the
-    axis of that frame that is nearest to the mean of the cameras' axes."""
+    mean of the cameras'."""
     up: Vector3 | None = None
-    """Direction in the base's frame that is up; default: its axis nearest to up in the images."""
+    """Direction in the base's frame that is up; default: the mean of the images'."""
     cameras: dict[Name, CameraFile] = {}
     """By name; default: all cameras of the model that a joint moves."""
     eyes: dict[Side, tuple[Name, ...]] = {}
     """By eye its joints, from the base outwards; default: the hinges between base and cameras."""
     neck: tuple[Name, ...] | None = None
-    """Joints of the neck, from the body outwards; default: the hinges before the base. All joints
-    that are neither an eye's nor the neck's stand still, at the model's keyframe "home" or at
-    zero."""
+    """Joints of the neck, from the body outwards; default: up to three hinges before the base. All
+    others stand still, at the model's keyframe "home" or at zero."""
     joints: dict[Name, JointFile] = {}
     """By the joint's name."""
-    readings: dict[Name, ReadingFile] = {}
-    """By the reading's name."""
     lenses: dict[Name, LensChoice] = {}
     """Lenses to choose from by name, the first by default."""
     format: Literal["vergence-head-1"] = "vergence-head-1"

@@ -17,14 +17,12 @@ USUAL_SIZE = 640, 480
 """Size of the images [px] of a camera for which neither head.toml nor the model has one."""
 
 
-def chosen_lens(stated: HeadFile, lens: str | None) -> str | None:
-    """Check a lens to choose, and return its name; None: the first, if there are any."""
-    if lens is None:
-        return next(iter(stated.lenses), None)
-    if lens not in stated.lenses:
+def chosen_lens(stated: HeadFile, lens: str | None) -> str:
+    """Check a lens to choose; None: the first, or an empty name if there is no choice."""
+    if lens is not None and lens not in stated.lenses:
         known = ", ".join(stated.lenses) or "none to choose from"
         raise VergenceError(f"This head has no lens {lens!r}; it has {known}.")
-    return lens
+    return lens or next(iter(stated.lenses), "")
 
 
 def lens_of(
@@ -32,56 +30,32 @@ def lens_of(
 ) -> Camera:
     """Determine the intrinsics of a camera of a head with one of its lenses.
 
-    `folder` is that of head.toml. Raises VergenceError for a lens that the head does not have, and
-    a camera without field of view.
+    `folder` is that of head.toml. VergenceError for a lens that the head does not have, or none.
     """
     camera = stated.cameras.get(name, CameraFile())
-    choice = stated.lenses.get(chosen_lens(stated, lens) or "")
+    choice = stated.lenses.get(chosen_lens(stated, lens))
     own: LensFile = choice if choice is not None and name in choice.cameras else camera
     if own.camera_info is not None:
-        found = [*ros.load(folder / own.camera_info).values()]
-        if len(found) != 1:
-            raise VergenceError(f"The lens of {name} is one camera_info, found {len(found)}.")
-        return found[0]
-    by_model = None if camera.body is not None else model.camera(camera.camera or name)
-    size = camera.size
-    if size is None and by_model is not None:
-        resolution = tuple(model.cam_resolution[by_model.id].tolist())
-        size = resolution if min(resolution) > 1 else None  # MuJoCo's default is one pixel
-    width, height = size or USUAL_SIZE
-    fx, fy, centre = _pinhole(name, own, model, by_model, (width, height))
-    matrix = np.diag([fx, fy, 1.0])
-    matrix[:2, 2] = centre
-    return Camera(width, height, matrix, np.array(own.distortion), own.model)
-
-
-def _pinhole(
-    name: str, own: LensFile, model: mujoco.MjModel, by_model: object, size: tuple[int, int]
-) -> tuple[float, float, tuple[float, float]]:
-    """Compute focal lengths and principal point [px]."""
-    width, height = size
-    middle = (width - 1) / 2, (height - 1) / 2
+        return next(iter(ros.load(folder / own.camera_info).values()))
+    by_model = None if camera.body is not None else model.camera(camera.camera or name).id
+    size = camera.size or USUAL_SIZE
+    if camera.size is None and by_model is not None and min(model.cam_resolution[by_model]) > 1:
+        size = tuple(model.cam_resolution[by_model].tolist())  # 1 x 1: the model has none
+    matrix, shift = np.eye(3), np.zeros(2)
+    sensor_m = np.zeros(2) if by_model is None else model.cam_sensorsize[by_model]
     if own.fov_deg is not None:
-        focal = width / 2 / np.tan(np.radians(own.fov_deg) / 2)
-        return focal, focal, middle
-    if by_model is None:
-        raise VergenceError(
-            f"The camera {name} is on a body and has no lens; give its fov_deg or camera_info."
-        )
-    k = by_model.id
-    sensor_m = model.cam_sensorsize[k]
-    if not sensor_m.any():
-        if own.focal_mm is not None:
-            raise VergenceError(
-                f"The lens of {name} has focal_mm, and the model states no sensorsize for it; "
-                "give fov_deg."
-            )
-        focal = height / 2 / np.tan(np.radians(model.cam_fovy[k]) / 2)
-        return focal, focal, middle
-    pitch_m = sensor_m / np.array(size, np.float32)
-    if np.isclose(*pitch_m, rtol=1e-5):  # square pixels, as far as the model's numbers tell
-        pitch_m = pitch_m[[0, 0]]
-    fx, fy, x, y = model.cam_intrinsic[k] / np.tile(pitch_m, 2)
-    if own.focal_mm is not None:
-        fx = fy = own.focal_mm * 1e-3 / pitch_m[0]
-    return fx, fy, (middle[0] - float(x), middle[1] - float(y))
+        matrix[[0, 1], [0, 1]] = size[0] / 2 / np.tan(np.radians(own.fov_deg) / 2)
+    elif by_model is not None and sensor_m.any():
+        pitch_m = sensor_m / np.array(size, np.float32)
+        if np.isclose(*pitch_m, rtol=1e-5):  # square pixels, as far as the model's numbers tell
+            pitch_m = pitch_m[[0, 0]]
+        focal, shift = np.split(model.cam_intrinsic[by_model] / np.tile(pitch_m, 2), 2)
+        given = own.focal_mm
+        matrix[[0, 1], [0, 1]] = focal if given is None else given * 1e-3 / pitch_m[0]
+    elif by_model is not None and own.focal_mm is None:
+        fovy = np.radians(model.cam_fovy[by_model])
+        matrix[[0, 1], [0, 1]] = size[1] / 2 / np.tan(fovy / 2)
+    else:
+        raise VergenceError(f"The lens of {name} is not known; give its fov_deg or camera_info.")
+    matrix[:2, 2] = (np.array(size) - 1) / 2 - shift
+    return Camera(*size, matrix, np.array(own.distortion), own.model)

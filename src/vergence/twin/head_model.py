@@ -19,7 +19,7 @@ from vergence.gaze.commands import (
 )
 from vergence.geometry.head import HeadCalibration
 from vergence.twin.designed_head import DesignedHead, designed_head, reading_name
-from vergence.twin.head_file import HeadFile, JointFile, ReadingFile, load_head_file
+from vergence.twin.head_file import HeadFile, JointFile, load_head_file
 from vergence.twin.head_guess import completed
 from vergence.twin.head_lens import chosen_lens, lens_of
 from vergence.twin.model_file import load_model
@@ -60,7 +60,7 @@ def load_head_model(path: Path | None = None, lens: str | None = None) -> HeadMo
     lenses = {name: lens_of(stated, folder, name, model, lens) for name in stated.cameras}
     designed = designed_head(model, stated, lenses)
     limits = head_limits(model, stated, designed)
-    return HeadModel(spec, model, stated, designed, limits, lens or "")
+    return HeadModel(spec, model, stated, designed, limits, lens)
 
 
 def nominal_head(lens: str | None = None) -> HeadCalibration:
@@ -90,7 +90,7 @@ def head_limits(model: mujoco.MjModel, stated: HeadFile, designed: DesignedHead)
     """Determine the limits of the neck's joints and of the readings.
 
     A joint of several readings divides its range and speed equally among them, so that no
-    combination of their values leaves it; ranges that head.toml or a tendon states are taken.
+    combination of their values leaves it; the range of a tendon is that of its reading.
     """
     head, eyes = designed.head, designed.eyes
     ranges = [_joint_range(model, stated, name) for name in designed.neck]
@@ -107,14 +107,9 @@ def head_limits(model: mujoco.MjModel, stated: HeadFile, designed: DesignedHead)
                     speed = min(speed, _speed(stated.joints.get(joint), "eyes") / abs(share))
         lower, upper = np.max(own, axis=0)[0], np.min(own, axis=0)[1]
         tendon = _tendon_range(model, name)
-        given = stated.readings.get(name, ReadingFile())
-        if given.range_deg is not None:
-            lower, upper = np.radians(given.range_deg)
-        elif tendon is not None:
-            lower, upper = tendon
+        lower, upper = (lower, upper) if tendon is None else tendon
         ranges.append(np.array([lower, max(lower, upper)]))
-        stated_speed = given.speed_deg_s
-        speeds.append(speed if stated_speed is None else float(np.radians(stated_speed)))
+        speeds.append(speed)
     return JointLimits(np.reshape(ranges, (-1, 2)), np.array(speeds), posture_joints(head))
 
 
