@@ -139,6 +139,15 @@ def test_a_void_calibration_does_not_replace_one_that_is_there(voided, monkeypat
     assert "Wrote new.json.\n" in capsys.readouterr().out
 
 
+def test_a_file_that_is_no_calibration_is_not_replaced(voided, monkeypatch, capsys):
+    Path("notes.json").write_text("{}")
+    with pytest.raises(SystemExit) as ended:
+        run(monkeypatch, "calibrate", "set", "--out", "notes.json")
+    assert ended.value.code == 2
+    assert "notes.json is no calibration, and is not replaced" in capsys.readouterr().err
+    assert Path("notes.json").read_text() == "{}"
+
+
 def _check_recording(path: Path, folder: Path, stated: dict) -> None:
     """Every image of the dataset with a board has its corners and residuals in the recording."""
     dataset, residuals = load_dataset(folder), []

@@ -191,9 +191,17 @@ def test_no_samples_give_no_points(head: HeadCalibration):
         ((4, 2), (5, 2), (4, 4), r"right of shape \(4, 2\), found \(5, 2\)"),
         ((4, 2), (4, 2), (3,), r"joints of shape \(4, 4\) or \(4,\) or .* found \(3,\)"),
         ((4, 2), (4, 2), (4, 7), r"joints of shape \(4, 4\) or \(4,\) or .* found \(4, 7\)"),
-        ((2,), (2,), (4,), r"left of shape \(N, 2\), found \(2,\)"),
+        ((1, 2, 2), (2,), (4,), r"left of shape \(N, 2\), found \(1, 2, 2\)"),
     ],
 )
 def test_wrong_shapes_are_named(head, left, right, eyes, says):
     with pytest.raises(VergenceError, match=says):
         locate(head, left=np.zeros(left), right=np.zeros(right), joints=np.zeros(eyes))
+
+
+def test_a_single_pixel_needs_no_batch(head: HeadCalibration):
+    both = {"left": [300.0, 200.0], "right": [290.0, 201.0], "joints": np.zeros(4)}
+    one = locate(head, **both)
+    batched = locate(head, **both | {name: [both[name]] for name in ("left", "right")})
+    assert one.xyz.shape == (1, 3)
+    np.testing.assert_array_equal(one.xyz, batched.xyz)

@@ -22,7 +22,7 @@ from vergence.geometry.board import (
     described,
     marker_family,
 )
-from vergence.vision.april_grid import LEAST_MARKERS, read_grid
+from vergence.vision.april_grid import BORDER
 from vergence.vision.board_detection import detect_board, ends_inside, upsampled
 from vergence.vision.board_pose import LEAST_CORNERS
 from vergence.vision.marker_layout import (
@@ -42,15 +42,11 @@ def why_not_found(grey: np.ndarray, board: Board) -> str:
     """Say why a board is not found in a sharp image (H, W), by what is seen of any board."""
     if isinstance(board, CircleGrid):
         return "the board was not found; all its circles must be visible"
-    if isinstance(board, AprilGrid):
-        ids = read_grid(upsampled(grey)[0], board)[1]
-        if len(ids) >= LEAST_MARKERS:
-            return ANOTHER
-    elif isinstance(board, Charuco):
-        quads, ids = read_markers(upsampled(grey)[0], board.dictionary)
-        if contradicts(marker_pairs(quads, ids), board):
-            return ANOTHER
     if isinstance(board, (Charuco, AprilGrid)):
+        border = BORDER if isinstance(board, AprilGrid) else 1
+        quads, ids = read_markers(upsampled(grey)[0], board.dictionary, border=border)
+        if isinstance(board, Charuco) and contradicts(marker_pairs(quads, ids), board):
+            return ANOTHER
         count = counted(len(ids), "marker") if len(ids) else "no marker"
         return f"{count} of {board.dictionary} could be read"
     grid = _largest_grid(grey)

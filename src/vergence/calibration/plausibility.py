@@ -605,13 +605,9 @@ def implausible_geometry(head: HeadCalibration) -> list[Finding]:
     findings = []
     across, t = float(angle(head.T_rbase_lbase[:3, :3])), eye_shift(head)
     if not head.kinematics.readings:  # which stand as they were built
-        if t[1] > -ASIDE * np.linalg.norm(t):
-            return []
-        sentence = (
-            "The left camera stands to the right of the right one: exchange left and right in "
-            "dataset.json."
-        )
-        return [void("left-is-right", sentence, "T_rbase_lbase")]
+        sentence = "The left camera stands to the right of the right one: exchange the two names."
+        exchanged = t[1] < -ASIDE * np.linalg.norm(t)
+        return [void("left-is-right", sentence, "T_rbase_lbase")] if exchanged else []
     if across > MOST_TURNED_RAD:
         sentence = (
             f"T_rbase_lbase: the bases of the eyes are turned by {np.degrees(across):.0f} degrees "

@@ -60,8 +60,8 @@ def inaccurate(head: HeadCalibration) -> list[Finding]:
         return [warning("no-accuracy", sentence)]
     findings, checked = [], accuracy.held_out
     still = accuracy.eye_motion == "fixed"
-    more = "record more views in which both eyes see the board"
-    more += ", near and far and slanted" if still else " (`vergence plan` says which)"
+    which = "near, far and slanted" if still else "`vergence plan` says which"
+    more = f"record more views in which both eyes see the board ({which})"
     move = "" if still else ", or let the eyes move farther"
     if checked is not None and checked.expected_mm is not None and checked.distance_m is not None:
         expected_mm, distance = checked.expected_mm, checked.distance_m

@@ -52,6 +52,11 @@ def calibrate(
 
     void_out = out.with_name(f"{out.stem}.void{out.suffix}")
     check_outputs(out, void_out, json, folder=report, names=RESULTS, inputs=[dataset])
+    if out.exists():
+        try:
+            vg.load_head(out, allow_void=True)
+        except VergenceError:
+            raise VergenceError(f"{out} is no calibration, and is not replaced by one.") from None
     with (
         progress_bars(report) as progress,
         dataset_of(dataset, progress) as data,

@@ -97,7 +97,7 @@ class AprilGrid:
     """A grid of markers whose corners touch small black squares, as Kalibr prints it.
 
     The markers identify the corners, so that a partly visible grid is enough. They are numbered
-    from 0 along rows, from the lowest row as Kalibr's or from the highest as OpenCV's.
+    from 0 along rows, from the lowest row.
     """
 
     tags_x: Annotated[int, Field(ge=2, le=50)]

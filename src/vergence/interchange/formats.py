@@ -14,6 +14,7 @@ from vergence.errors import VergenceError
 from vergence.gaze.commands import JointLimits
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import checked_readings
+from vergence.geometry.parameters import lens_vector
 from vergence.interchange import kalibr, opencv, ros, urdf
 from vergence.interchange.serialization import with_intrinsics
 
@@ -86,12 +87,7 @@ def import_head(
 def unchanged_lenses(head: HeadCalibration, template: HeadCalibration) -> list[str]:
     """List the cameras of an imported head whose intrinsics are those of its template."""
     pairs = ((n, head.camera(n).intrinsics, m.intrinsics) for n, m in template.cameras.items())
-    return [
-        name
-        for name, lens, before in pairs
-        if np.array_equal(lens.matrix, before.matrix)
-        and np.array_equal(lens.distortion, before.distortion)
-    ]
+    return [name for name, *two in pairs if np.array_equal(*map(lens_vector, two))]
 
 
 def _check_format(name: str, known: tuple[str, ...]) -> None:

@@ -97,7 +97,8 @@ def sightings(
     Noise that neither the caller nor the calibration states is zero.
     """
     names = pair_names(head, cameras)
-    left, right, joints = floats("left", left), floats("right", right), floats("joints", joints)
+    left, right = np.atleast_2d(floats("left", left)), np.atleast_2d(floats("right", right))
+    joints = floats("joints", joints)
     if left.ndim != 2:
         raise VergenceError(f"Locating points needs left of shape (N, 2), found {left.shape}.")
     n, r = len(left), len(head.kinematics.readings)

@@ -68,7 +68,7 @@ def locate(
 
     Args:
         head: with or without its accuracy.
-        left: (N, 2) pixels in the left camera, distortion included; NaN: not seen.
+        left: (N, 2) pixels in the left camera, or (2,) of one point; distorted; NaN: not seen.
         right: (N, 2) pixels of the same points in the right camera.
         joints: (r,) joint readings [rad] of one posture that serves all points, or (N, r), in the
             order of head.kinematics.readings, by default left pan, left tilt, right pan, right

@@ -15,8 +15,8 @@ from vergence.geometry.board import AprilGrid, corner_points
 from vergence.vision.corner_refinement import edge_distances, refine_corners, smooth_map
 from vergence.vision.marker_layout import read_markers
 
-BORDERS = 2, 1
-"""Widths of a marker's black frame [modules]: Kalibr's, and OpenCV's."""
+BORDER = 2
+"""Width of a marker's black frame [modules]: Kalibr's; that of OpenCV is 1."""
 HALF_WIDTH_PX = 0.8
 """Half width of the strips along the edges [px]: wider ones reach the blur of the frame's inner
 edge. On drawn grids the errors are 0.7 times those with 2 px."""
@@ -32,15 +32,6 @@ STRAY = 5.0
 """Distance of a corner from the map, in the median one, from which it is stray."""
 
 
-def read_grid(large: np.ndarray, board: AprilGrid) -> tuple[Array, np.ndarray]:
-    """Read a board's markers in an image (H, W): corners (N, 4, 2) [px] and numbers (N,)."""
-    found = [read_markers(large, board.dictionary, border=border) for border in BORDERS]
-    last = board.tags_x * board.tags_y
-    quads, numbers = max(found, key=lambda each: (each[1] < last).sum())
-    own = numbers < last
-    return np.reshape(quads, (-1, 4, 2))[own].astype(float), numbers[own]
-
-
 def detect_april_grid(
     large: np.ndarray, scale: int, grey: np.ndarray, board: AprilGrid
 ) -> Array | None:
@@ -49,24 +40,21 @@ def detect_april_grid(
     The markers are read in an image that is `scale` times as large. None: too few are there, or
     they do not lie as the board's, seen from its front.
     """
-    quads, numbers = read_grid(large, board)
-    if len(numbers) < LEAST_MARKERS:
+    read, numbers = read_markers(large, board.dictionary, border=BORDER)
+    own = numbers < board.tags_x * board.tags_y
+    if own.sum() < LEAST_MARKERS:
         return None
+    quads, numbers = (np.array(read)[own] + 0.5) / scale - 0.5, numbers[own]
     shape = board.rows, board.columns
     at = corner_points(board)[:, :2] / board.square_m
-    column, row = numbers % board.tags_x, numbers // board.tags_x
-    quads = (quads + 0.5) / scale - 0.5
     # Half a marker allows for the lens, and not for markers that were misread.
     side = float(np.median(np.linalg.norm(np.diff(quads, axis=1), axis=2)))
-    for down in (row, board.tags_y - 1 - row):  # seen from behind, rows are in the other order
-        around = 2 * down[:, None] + [0, 0, 1, 1], 2 * column[:, None] + [0, 1, 1, 0]
-        index = np.ravel_multi_index(around, shape)
-        centres = at[index].mean(axis=1), quads.mean(axis=1)
-        H, kept = cv2.findHomography(*centres, cv2.RANSAC, side / 2)
-        if H is not None and kept.sum() >= LEAST_MARKERS and np.linalg.det(H) * H[2, 2] > 0:
-            break
-    else:
-        return None
+    column, row = numbers % board.tags_x, board.tags_y - 1 - numbers // board.tags_x
+    around = 2 * row[:, None] + [0, 0, 1, 1], 2 * column[:, None] + [0, 1, 1, 0]
+    index = np.ravel_multi_index(around, shape)
+    H, kept = cv2.findHomography(at[index].mean(axis=1), quads.mean(axis=1), cv2.RANSAC, side / 2)
+    if H is None or kept.sum() < LEAST_MARKERS or np.linalg.det(H) * H[2, 2] <= 0:
+        return None  # also if they are seen from behind, or in another order
     expected, corners = cv2.perspectiveTransform(at[None], H)[0], np.full(at.shape, np.nan)
     for numbers, quad in zip(index[kept.ravel() > 0], quads[kept.ravel() > 0], strict=True):
         turned = [np.roll(quad, k, axis=0) for k in range(4)]

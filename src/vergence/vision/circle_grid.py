@@ -25,19 +25,7 @@ ROUNDS = 3
 
 
 def detect_circle_grid(grey: np.ndarray, board: CircleGrid) -> Array | None:
-    """Locate the centres (rows * columns, 2) [px] of spots in an image (H, W); None: not found.
-
-    The spots are dark on white, or white on dark.
-    """
-    for image in (grey, 255 - grey):
-        found = _find(image, board)
-        if found is not None:
-            return _centres(image, _right_handed(found, board).reshape(-1, 2), board)
-    return None
-
-
-def _find(grey: np.ndarray, board: CircleGrid) -> Array | None:
-    """Find dark spots (rows, columns, 2) [px], in the order of OpenCV."""
+    """Locate centres (rows * columns, 2) [px] of dark spots in an image (H, W); None: not found."""
     parameters = cv2.SimpleBlobDetector.Params()
     parameters.minArea, parameters.maxArea = LEAST_AREA_PX, grey.size / (board.columns * board.rows)
     parameters.minDistBetweenBlobs = 2.0
@@ -45,7 +33,10 @@ def _find(grey: np.ndarray, board: CircleGrid) -> Array | None:
     size = board.columns, board.rows
     kind = cv2.CALIB_CB_ASYMMETRIC_GRID if board.asymmetric else cv2.CALIB_CB_SYMMETRIC_GRID
     found, centres = cv2.findCirclesGrid(grey, size, flags=kind, blobDetector=spots)
-    return np.reshape(centres, (board.rows, board.columns, 2)).astype(float) if found else None
+    if not found:
+        return None
+    grid = np.reshape(centres, (board.rows, board.columns, 2)).astype(float)
+    return _centres(grey, _right_handed(grid, board).reshape(-1, 2), board)
 
 
 def _right_handed(grid: Array, board: CircleGrid) -> Array:
@@ -53,9 +44,9 @@ def _right_handed(grid: Array, board: CircleGrid) -> Array:
     along, down = (grid[:, -1] - grid[:, 0]).mean(axis=0), (grid[-1] - grid[0]).mean(axis=0)
     if along[0] * down[1] < along[1] * down[0]:
         grid = grid[::-1]  # a mirror image; the pattern is its own
-    if board.asymmetric and board.rows % 2:
+    if board.asymmetric:
         return grid
-    step = 1 if board.rows == board.columns and not board.asymmetric else 2
+    step = 1 if board.rows == board.columns else 2
     turned = [np.rot90(grid, quarter) for quarter in range(0, 4, step)]
     return min(turned, key=lambda each: float(each[0, 0].sum()))
 
