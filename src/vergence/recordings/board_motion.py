@@ -42,9 +42,7 @@ from vergence.vision.board_pose import (
     LEAST_CORNERS,
     board_errors,
     board_poses,
-    determines_pose,
     refined_poses,
-    seen_corners,
     seen_from_the_other_side,
 )
 
@@ -96,19 +94,21 @@ def board_views(
 
     Readings are (m, r), or poses (m, 2, 4, 4). None: no view determines the board's pose.
     """
-    stated, points = description.cameras[name], corner_points(description.board)
-    rows = np.flatnonzero(determines_pose(points, seen_corners(corners)))
-    if not len(rows):
+    stated, board = description.cameras[name], description.board
+    if board is None or not np.isfinite(corners).any():
         return None
-    camera = _rough_lens(stated, corners[rows], points)
-    refined = partial(refined_poses, camera, corners[rows], points)
-    T, squares = refined(board_poses(camera, corners[rows], points))
+    points = corner_points(board)
+    camera = _rough_lens(stated, corners, points)
+    refined = partial(refined_poses, camera, corners, points)
+    T, squares = refined(board_poses(camera, corners, points))
     slanted, others = refined(seen_from_the_other_side(T, points))
     T[others < squares] = slanted[others < squares]
-    known = known_poses(T)
-    rows, T, squares = rows[known], T[known], np.minimum(squares, others)[known]
+    rows = np.flatnonzero(known_poses(T))
+    if not len(rows):
+        return None
+    T, squares = T[rows], np.minimum(squares, others)[rows]
     # A board that is turned about its middle has its corners at the same places.
-    R, middle = nearest_numbering(T[:, :3, :3], description.board), points.mean(axis=0)
+    R, middle = nearest_numbering(T[:, :3, :3], board), points.mean(axis=0)
     T = pose(R, T[:, :3, 3] + (T[:, :3, :3] - R) @ middle)
     _, by_pose, _ = board_errors(camera, T, corners[rows], points)
     variance = np.maximum(squares.mean(), squares) / 2 / LEAST_CORNERS + BEST_LENS_PX**2
@@ -152,9 +152,11 @@ def squared_distances(views: BoardViews, i: np.ndarray, k: np.ndarray) -> Array:
     """
     T_eye_cam, reading_rad = _consensus(views, i, k), READING_RAD[0]
     squared = np.full(len(i), np.nan)
+    if T_eye_cam is None:
+        return squared
     turned_rad = angle((inverse(views.T_base_eye[i]) @ views.T_base_eye[k])[:, :3, :3])
     by_gains = (GAIN_STD * turned_rad) ** 2 / 2  # of the sum of two
-    for ease in EASES if T_eye_cam is not None else ():
+    for ease in EASES:
         T_base_cam = views.T_base_eye @ T_eye_cam
         T = T_base_cam @ views.T_cam_target
         arms = (T[:, :3, 3] - each[:, :3, 3] for each in (T_base_cam, views.T_base_eye))
