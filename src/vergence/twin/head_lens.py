@@ -19,7 +19,7 @@ USUAL_SIZE = 640, 480
 
 def chosen_lens(stated: HeadFile, lens: str | None) -> str:
     """Check a lens to choose; None: the first, or an empty name if there is no choice."""
-    if lens is not None and lens not in stated.lenses:
+    if lens and lens not in stated.lenses:
         known = ", ".join(stated.lenses) or "none to choose from"
         raise VergenceError(f"This head has no lens {lens!r}; it has {known}.")
     return lens or next(iter(stated.lenses), "")
