@@ -74,7 +74,8 @@ def import_recording(
                     f"{described(board)}, as the map describes it."
                 )
             placement = number_placements(description, moments, chosen, corners, mapped.frames)
-            kept = placement >= 0
+            kept = np.flatnonzero(placement >= 0)
+            kept = kept[_long_enough(moments.time_ns[chosen.rows[kept]], chosen.moving[kept])]
             chosen = ChosenFrames(chosen.rows[kept], chosen.moving[kept])
             placement = placement[kept]
 
@@ -121,9 +122,14 @@ def _without_readings(moments: Moments, mapped: RecordingMap) -> tuple[Finding, 
 def _all_frames(moments: Moments) -> ChosenFrames:
     """Choose all moments with readings, in motion where enough of them follow each other."""
     rows = np.flatnonzero(moments.known)
-    late = np.diff(moments.time_ns[rows], prepend=moments.time_ns[rows[0]]) > MAX_GAP_S * 1e9
-    run = np.cumsum(late)
-    return ChosenFrames(rows, np.bincount(run)[run] >= LEAST_MOVING)
+    return ChosenFrames(rows, _long_enough(moments.time_ns[rows], np.ones(len(rows), bool)))
+
+
+def _long_enough(time_ns: np.ndarray, moving: np.ndarray) -> np.ndarray:
+    """Select the moments (F,) at rest, and those of motions of LEAST_MOVING moments or more."""
+    late = np.diff(time_ns, prepend=time_ns[:1]) > MAX_GAP_S * 1e9
+    run = np.cumsum(late | np.diff(moving, prepend=moving[:1]))
+    return ~moving | (np.bincount(run)[run] >= LEAST_MOVING)
 
 
 def _corners(
