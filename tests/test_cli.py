@@ -11,7 +11,7 @@ import pytest
 
 from simulated_head import plain_head
 from vergence import __version__, cli
-from vergence.cli.terminal import invocation
+from vergence.cli.terminal import invocation, plain_ending
 from vergence.geometry.head import save_head
 
 
@@ -151,8 +151,38 @@ def test_missing_opengl_says_what_to_install():
 def test_an_output_that_is_full_ends_in_a_sentence():
     with open("/dev/full", "w") as full:
         done = run("budget", "--calibration", "head.json", "--noise", "0.1", stdout=full)
-    said = "vergence: Cannot write to standard output: No space left on device.\n"
-    assert (done.returncode, done.stderr) == (2, said)
+    said = "vergence: Cannot go on: No space left on device (standard output, or the folder"
+    assert done.returncode == 2
+    assert done.stderr.startswith(said)
+
+
+@pytest.mark.parametrize(
+    ("before", "words", "said"),
+    [
+        ("", "calibrate . --out .", "Cannot write .: it is a folder"),
+        ("exec >&-;", "--version --help", "Standard output is closed"),
+        (
+            "mkdir a; cd a; rmdir ../a;",
+            "evaluate a --truth b",
+            "Cannot go on: No such file or directory",
+        ),
+    ],
+)
+def test_what_the_system_refuses_ends_in_a_sentence(before, words, said, tmp_path):
+    command = f"{before} exec {sys.executable} -m vergence {words}"
+    done = subprocess.run(
+        ["/bin/sh", "-c", command], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    assert said in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_too_little_memory_ends_in_a_sentence(capsys):
+    with pytest.raises(SystemExit) as ended, plain_ending("vergence"):
+        raise MemoryError
+    assert ended.value.code == 2
+    assert "There is too little memory" in capsys.readouterr().err
 
 
 def test_a_reader_that_stops_reading_ends_the_command_without_a_word():

@@ -86,7 +86,6 @@ SMALL = {
     "evaluate": ("a.json", "evaluate {inputs}/head.json --truth {inputs}/t.json --json out/a.json"),
     "import": ("a.json", "import {inputs}/head.yml --format opencv --out out/a.json"),
     "opencv yml": ("a.yml", "export {inputs}/head.json --format opencv --out out/a.yml"),
-    "opencv xml": ("a.xml", "export {inputs}/head.json --format opencv --out out/a.xml"),
     "opencv json": ("a.json", "export {inputs}/head.json --format opencv --out out/a.json"),
     "kalibr": ("a.yaml", "export {inputs}/head.json --format kalibr --out out/a.yaml"),
     "urdf": ("a.urdf", "export {inputs}/head.json --format urdf --out out/a.urdf"),

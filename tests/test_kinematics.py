@@ -296,6 +296,9 @@ def test_all_that_parallel_axes_may_differ_by_is_estimated_once():
 def test_a_joint_needs_a_unit_axis_and_a_reading():
     with pytest.raises(ValidationError, match="unit vector, found 2"):
         Joint(name="pan", axis=2 * UP, readings={"pan": 1.0})
+    for gain, factor in ((0.0, 1.0), (1.0, 1e-320)):
+        with pytest.raises(ValidationError, match="no reading moves joint pan"):
+            Joint(name="pan", axis=UP, readings={"pan": factor}, gain=gain)
     with pytest.raises(ValidationError, match="no reading moves joint pan"):
         Joint(name="pan", axis=UP, readings={"pan": 0.0})
 

@@ -50,7 +50,7 @@ def calibrate(
         write_calibration_report,
     )
 
-    void_out = out.with_name(f"{out.stem}.void{out.suffix}")
+    void_out = out.parent / f"{out.stem}.void{out.suffix}"
     check_outputs(out, void_out, json, folder=report, names=RESULTS, inputs=[dataset])
     if out.exists():
         try:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import os
 import shlex
 import shutil
@@ -29,6 +28,8 @@ def plain_ending(program: str) -> Iterator[None]:
     print the note of the interrupt in their place.
     """
     try:
+        if sys.stdout is None:
+            raise VergenceError("Standard output is closed; redirect it to a file or to /dev/null.")
         signal.signal(signal.SIGINT, _stop)
         signal.signal(signal.SIGTERM, _stop)
         try:
@@ -41,11 +42,13 @@ def plain_ending(program: str) -> Iterator[None]:
     except BrokenPipeError:  # the reader of the output, such as `head`, has ended
         _discard_output()
         raise SystemExit(128 + signal.SIGPIPE) from None
+    except MemoryError:
+        print(f"{program}: There is too little memory.", file=sys.stderr)
+        raise SystemExit(2) from None
     except OSError as error:
-        if error.errno != errno.ENOSPC or error.filename is not None:
-            raise
         _discard_output()
-        print(f"{program}: Cannot write to standard output: {error.strerror}.", file=sys.stderr)
+        of = error.filename or "standard output, or the folder of the command"
+        print(f"{program}: Cannot go on: {error.strerror} ({of}).", file=sys.stderr)
         raise SystemExit(2) from None
     except KeyboardInterrupt as stop:
         done = " ".join(map(str, finished_files))

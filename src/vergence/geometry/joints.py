@@ -19,6 +19,8 @@ from vergence.geometry.se3 import hat, rotation
 
 _LARGEST = 1e3
 """Largest gain, factor, offset [rad] or length [m] of a joint."""
+_SMALLEST = 1e-9
+"""Least angle by a radian of a reading from which it moves a joint [rad]."""
 _Number = Annotated[float, Field(ge=-_LARGEST, le=_LARGEST)]
 _Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,40}$")]
 ReadingName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_:()/ -]{0,60}$")]
@@ -69,7 +71,7 @@ class Joint:
             raise ValueError(f"the axis of joint {self.name} is a unit vector, found {length:.6g}")
         if np.abs(self.point_m).max() > MAX_POINT_M:
             raise ValueError(f"point_m of joint {self.name} is in metres, found {self.point_m}")
-        if not any(self.readings.values()):
+        if abs(self.gain) * max(map(abs, self.readings.values()), default=0.0) < _SMALLEST:
             raise ValueError(f"no reading moves joint {self.name}")
         if len(self.readings) > 1 and self.gain != 1:
             factors = {name: self.gain * factor for name, factor in self.readings.items()}
