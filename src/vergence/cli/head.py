@@ -22,7 +22,7 @@ HEADING = "# Written by `vergence head`; docs/own_head.md explains the fields."
 
 
 def head(model: Positional[Path], /, *, out: Optional[Path] = None) -> Report:
-    """Find cameras, eyes and neck of a robot's model, and write a first head.toml beside it.
+    """Find cameras, eyes and neck of a robot's model, and write a first head.toml into its folder.
 
     Args:
         model: MJCF or URDF file; or a head.toml, which is completed, checked and shown.

@@ -32,7 +32,7 @@ def export_head(
 ) -> None:
     """Write a head in another program's format; ros writes a folder, the others a file.
 
-    `limits` are those of the joints, of which urdf alone has a field. Poses in files of kalibr and
+    `limits` are those of the joints; only urdf has a field for them. Poses in files of kalibr and
     ros are those at readings `at` (r,) [rad]; None: straight gaze, and in ros none of moving eyes.
 
     Raises:

@@ -15,14 +15,12 @@ from vergence.geometry.kinematics import EYES, Side
 from vergence.geometry.se3 import cross, inverse, transform
 from vergence.twin.designed_head import camera_in_body
 from vergence.twin.head_file import CameraFile, HeadFile
-from vergence.twin.model_chain import ancestors, at_rest, body_pose, is_hinge, joints_to
+from vergence.twin.model_chain import DIGITS, ancestors, at_rest, body_pose, is_hinge, joints_to
 from vergence.twin.model_readings import model_readings
 
 EYE_JOINTS, NECK_JOINTS = 2, 3
 """Fewest joints of an eye, where there are as many, and most joints of a neck; those before it are
 the body's."""
-DIGITS = 9
-"""Decimals of directions."""
 APART_M = 0.01
 """Distance across the head from which cameras are of two eyes [m]."""
 USUAL_FOV_DEG = 60.0

@@ -18,7 +18,7 @@ from vergence.errors import VergenceError
 from vergence.geometry.se3 import inverse, pose, transform
 
 DIGITS = 12
-"""Decimals of lengths [m] in a base: what MuJoCo adds up in the world is rounded there."""
+"""Decimals of what is read from a model [m, 1]: sums in the world are rounded to them."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -68,7 +68,7 @@ def _complete_urdf(root: ElementTree.Element, path: Path) -> str:
 
 
 def _mesh_file(name: str, path: Path) -> Path:
-    """Find a mesh: beside the URDF, or in the folder of its package above."""
+    """Find a mesh: in the folder of the URDF, or in that of its package above."""
     inside = name.removeprefix("file://").removeprefix("package://")
     without_package = inside.partition("/")[2]
     places = [(above, part) for above in path.parents for part in (inside, without_package)]

@@ -15,11 +15,10 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
+from vergence.twin.model_chain import DIGITS
 
 _Row = dict[str, float]
 """Factors of joints, by name."""
-DIGITS = 12
-"""Decimals of factors and offsets, which solving equations leaves."""
 
 
 class Readings(NamedTuple):
