@@ -185,7 +185,8 @@ def _let_stand_still(spec: mujoco.MjSpec, of: HeadModel) -> None:
         for actuator in spec.actuators
         if actuator.target in moving and _is_position_servo(actuator)
     ]
-    kept = {actuator.target for actuator in servos}
+    if {actuator.target for actuator in servos} != set(moving):
+        servos = []  # weak ones beside the twin's would give way
     for part in [
         *(a for a in spec.actuators if a not in servos),
         *spec.sensors, *spec.tendons, *spec.equalities, *spec.keys, *spec.excludes, *spec.pairs,
@@ -195,7 +196,7 @@ def _let_stand_still(spec: mujoco.MjSpec, of: HeadModel) -> None:
         spec.delete(part)
     for joint in spec.joints:
         joint.ref = 0.0
-        if joint.name not in kept:
+        if not servos:
             for name in ("damping", "stiffness", "frictionloss"):
                 setattr(joint, name, np.zeros_like(getattr(joint, name)))
 
@@ -208,21 +209,20 @@ def _is_position_servo(actuator: mujoco.MjsActuator) -> bool:
 
 
 def _add_servos(spec: mujoco.MjSpec, of: HeadModel) -> None:
-    """Give each joint without one a critically damped servo, whose body weighs nothing."""
+    """Give joints critically damped servos, and bodies no weight, where the model has no servos."""
+    if spec.actuators:
+        return
     model, data = of.model, at_rest(of.model, moving_joints(of.designed))
     mujoco.mj_forward(model, data)
     inertia = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, inertia)
-    driven = {actuator.target for actuator in spec.actuators}
     for name in moving_joints(of.designed):
-        if name in driven:
-            continue
         own = inertia[model.joint(name).dofadr[0], model.joint(name).dofadr[0]]
         kp, kv = own * SERVO_RAD_S**2, 2 * own * SERVO_RAD_S
         servo = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         servo.set_to_position(kp=kp, kv=kv)
-        for body in spec.bodies[1:]:
-            body.gravcomp = 1.0
+    for body in spec.bodies[1:]:
+        body.gravcomp = 1.0
 
 
 def _build_eyes(spec: mujoco.MjSpec, of: HeadModel, head: HeadCalibration) -> None:
