@@ -17,7 +17,6 @@ from vergence.files import markdown_table, results_folder, whole_file, write_who
 if TYPE_CHECKING:
     from vergence.twin.designed_head import DesignedHead
 
-RESULTS = "head.png", "head.rrd"
 HEADING = "# Written by `vergence head`; docs/own_head.md explains the fields."
 
 
@@ -28,12 +27,11 @@ def head(model: Positional[Path], /, *, out: Optional[Path] = None) -> Report:
         model: MJCF or URDF file; or a head.toml, which is completed, checked and shown.
         out: Folder for a picture and a recording of the head with axes and views.
     """
-    from vergence.twin.designed_head import moving_joints
     from vergence.twin.head_checks import disagreement, doubts, picture, sweep
     from vergence.twin.head_model import load_head_model
 
     target = model.parent / "head.toml" if model.suffix != ".toml" else None
-    check_outputs(target, folder=out, names=RESULTS, inputs=[model])
+    check_outputs(target, folder=out, names=("head.png", "head.rrd"), inputs=[model])
     if target is not None and target.exists():
         typed = invocation("vergence", "head", target)
         raise VergenceError(f"{target} exists and is not overwritten; type {typed} to check it.")
@@ -51,9 +49,8 @@ def head(model: Positional[Path], /, *, out: Optional[Path] = None) -> Report:
         from vergence.viewer.head import record_head
 
         with results_folder(out):
-            moved = sweep(found), moving_joints(found.designed), report.markdown()
-            geoms = visual_geoms(found.model)
-            record_head(out / "head.rrd", found.designed.head, geoms, *moved)
+            shown = visual_geoms(found.model), sweep(found), report.markdown()
+            record_head(out / "head.rrd", found.designed.head, *shown)
             with whole_file(out / "head.png") as part:
                 Image.fromarray(picture(found)).save(part, format="png")
         files.append(f"To view the recording: {invocation('rerun', out / 'head.rrd')}")

@@ -23,9 +23,7 @@ from vergence.twin.model_chain import at_rest, body_pose
 WAVE_RAD = 0.3 * np.sin(np.linspace(0, 2 * np.pi, 24))
 """Angles of a joint there and back, within the usual ranges of eyes and necks."""
 AXIS_M = 0.06
-"""Drawn length of a joint's axis in the recording."""
-DRAWN_M = 0.03
-"""Length of the axes and of the cameras of the picture."""
+"""Drawn length of a joint's axis, and twice the depth of a camera."""
 SIZE_PX = 960, 720
 """Width and height of the picture."""
 
@@ -90,23 +88,21 @@ class View(NamedTuple):
     """(j,) angles of the neck's joints and readings of the eyes [rad]."""
     bodies: dict[str, Array]
     """(4, 4) by body its pose."""
-    axes: Array
-    """(k, 2, 3) [m] both ends of the axes of the neck's joints, then of the eyes'."""
+    axes: dict[str, Array]
+    """(2, 3) [m] by joint both ends of its axis."""
 
 
 def sweep(of: HeadModel) -> Iterator[View]:
     """Move each joint of the neck and each reading of the eyes in turn, within its limits."""
     n, T_head_world = len(of.designed.neck), _straight(of)
     names = [of.model.body(b).name for b in range(1, of.model.nbody)]
-    each = np.eye(len(of.limits.joints))
+    half, each = AXIS_M / 2 * np.array([[-1.0], [1.0]]), np.eye(len(of.limits.joints))
     for posture in np.clip(np.kron(each, WAVE_RAD[:, None]), *of.limits.setpoint_range_rad.T):
         data = pose_joints(of, posture[n:], posture[:n])
         bodies = {name: T_head_world @ body_pose(data, name) for name in names}
         joints = [data.joint(name) for name in moving_joints(of.designed)]
-        ends = [
-            [j.xanchor - AXIS_M / 2 * j.xaxis, j.xanchor + AXIS_M / 2 * j.xaxis] for j in joints
-        ]
-        yield View(posture, bodies, transform(T_head_world, np.array(ends)))
+        axes = {j.name: transform(T_head_world, j.xanchor + half * j.xaxis) for j in joints}
+        yield View(posture, bodies, axes)
 
 
 def picture(of: HeadModel) -> np.ndarray:
@@ -125,7 +121,7 @@ def picture(of: HeadModel) -> np.ndarray:
         option.flags[flag] = True
     model.vis.global_.offwidth, model.vis.global_.offheight = SIZE_PX
     model.vis.headlight.ambient, model.vis.headlight.diffuse = [0.5] * 3, [0.5] * 3
-    model.vis.map.znear, model.stat.meansize = 0.02 / model.stat.extent, DRAWN_M
+    model.vis.map.znear, model.stat.meansize = 0.02 / model.stat.extent, AXIS_M / 2
     model.vis.scale.frustum, model.vis.scale.jointlength = 3.0, 3.0  # times that
     model.vis.scale.jointwidth = 0.1
     try:

@@ -28,17 +28,9 @@ STEP_S = 0.1
 
 
 def record_head(
-    path: Path,
-    head: HeadCalibration,
-    geoms: Sequence[VisualGeom],
-    views: Iterable[View],
-    joints: Sequence[str],
-    report: str,
+    path: Path, head: HeadCalibration, geoms: Sequence[VisualGeom], views: Iterable[View], text: str
 ) -> None:
-    """Write a recording of a head that moves; VergenceError if the file cannot be written.
-
-    `joints` are the names of the axes of a view.
-    """
+    """Write a recording of a head that moves; VergenceError if the file cannot be written."""
     near, far = np.array([0.05, 0.0, 0.0]), np.array([0.45, 0.45, 0.25])
     space = view_3d("the head, axes of its joints and views of its cameras", middle=near, eye=far)
     layout = playing(rrb.Horizontal(space, report_view()), speed=1.0)
@@ -54,6 +46,7 @@ def record_head(
             for eye in EYES:
                 T = T_head @ base_pose(head, eye) @ eye_pose(head.kinematics, eye, readings)
                 rec.log(f"world/{eye}_eye", placed(T))
-            start, end = view.axes[:, 0], view.axes[:, 1]
-            rec.log("world/axes", rr.Arrows3D(origins=start, vectors=end - start, labels=joints))
-        log_report(rec, report)
+            start, end = np.array(list(view.axes.values())).swapaxes(0, 1)
+            arrows = rr.Arrows3D(origins=start, vectors=end - start, labels=list(view.axes))
+            rec.log("world/axes", arrows)
+        log_report(rec, text)
