@@ -101,7 +101,7 @@ def _is_white(board: Board, x: Array, y: Array) -> np.ndarray:
             at = np.clip(np.round((np.stack([x, y], axis=-1) - first) / step), 0, last)
             away = np.stack([x, y], axis=-1) - first - at * step
             nearest = np.minimum(nearest, np.linalg.norm(away, axis=-1))
-        return nearest > RADIUS * (np.sqrt(2) if board.asymmetric else 1)
+        return np.asarray(nearest > RADIUS * (np.sqrt(2) if board.asymmetric else 1))
     i, j = np.floor(x).astype(int), np.floor(y).astype(int)
     if isinstance(board, AprilGrid):
         side = board.marker_m / board.square_m

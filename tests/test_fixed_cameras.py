@@ -99,6 +99,13 @@ def test_cameras_on_one_body_are_placed():
     assert max(map(abs, boxminus(found.head, body).values())) < 1e-3
 
 
+def test_a_board_on_a_stand_may_be_shown_in_several_views():
+    seen = recorded(PAIR)
+    again = np.concatenate([np.arange(VIEWS), np.arange(6)])
+    found = calibrate(seen.take(again), lens="radial-tangential")
+    assert found.summary().startswith("GOOD")
+
+
 def test_exchanged_images_of_a_fixed_pair_are_found():
     seen = recorded(PAIR)
     left, right = seen.corners

@@ -377,7 +377,7 @@ def test_a_camera_info_rectifies_as_opencv_and_as_the_head_does(tmp_path, seed, 
     np.testing.assert_allclose(R[1] @ T[:3, :3] @ R[0].T, np.eye(3), atol=1e-9)
     # The baseline is along x, and Tx = -fx' B.
     baseline = np.linalg.norm(T[:3, 3])
-    np.testing.assert_allclose(R[1] @ T[:3, 3], [-baseline, 0, 0], atol=1e-9)
+    np.testing.assert_allclose(R[1] @ T[:3, 3], np.array([-baseline, 0, 0]), atol=1e-9)
     assert P[1][0, 3] == pytest.approx(-P[1][0, 0] * baseline, rel=1e-9)
     assert P[0][0, 3] == 0
     with pytest.raises(VergenceError, match="4 joint readings"):

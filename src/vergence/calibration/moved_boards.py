@@ -102,10 +102,8 @@ def moved_boards(
 ) -> tuple[float, float] | None:
     """Estimate the motion of held boards, [rad] and [m], about an estimate without motion.
 
-    None: it is not significant, or the eyes have no readings to compare it with.
+    None: it is not significant.
     """
-    if not problem.readings.level:
-        return None
     apart = held_boards(replace(problem, start=found.x))
     if apart is None:
         return None

@@ -87,7 +87,7 @@ def import_head(
 def unchanged_lenses(head: HeadCalibration, template: HeadCalibration) -> list[str]:
     """List the cameras of an imported head whose intrinsics are those of its template."""
     pairs = ((n, head.camera(n).intrinsics, m.intrinsics) for n, m in template.cameras.items())
-    return [name for name, *two in pairs if np.array_equal(*map(lens_vector, two))]
+    return [name for name, a, b in pairs if np.array_equal(lens_vector(a), lens_vector(b))]
 
 
 def _check_format(name: str, known: tuple[str, ...]) -> None:

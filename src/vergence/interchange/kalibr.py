@@ -28,8 +28,8 @@ from vergence.geometry.kinematics import EYES, straight_gaze
 from vergence.geometry.lens import CameraModel
 from vergence.geometry.se3 import inverse
 from vergence.interchange.serialization import (
+    camera_of,
     check_cameras,
-    lens_of,
     read,
     with_intrinsics,
     write_yaml,
@@ -56,12 +56,10 @@ class _Cam(BaseModel):
                 "pinhole-equi or pinhole-radtan, or with `vergence calibrate --lens fisheye`"
             )
         fx, fy, cx, cy = self.intrinsics
-        fisheye = self.distortion_model == "equidistant"
-        stated = [] if self.distortion_model == "none" else self.distortion_coeffs
-        model, distortion = lens_of("fisheye" if fisheye else "radial-tangential", stated)
         matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-        width, height = self.resolution
-        return Camera(width=width, height=height, matrix=matrix, distortion=distortion, model=model)
+        model = "fisheye" if self.distortion_model == "equidistant" else "radial-tangential"
+        stated = [] if self.distortion_model == "none" else self.distortion_coeffs
+        return camera_of(self.resolution, matrix, model, stated)
 
 
 _CAMS = TypeAdapter(dict[str, _Cam])

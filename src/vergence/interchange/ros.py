@@ -6,6 +6,7 @@ What is read are intrinsics; where a camera sits in the head is not part of the 
 from __future__ import annotations
 
 import os
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -51,8 +52,9 @@ def save(head: HeadCalibration, folder: Path, at: Array | None = None) -> None:
     VergenceError if a camera has skew, or the folder cannot be written.
     """
     check_cameras(head, "ROS's camera_info")
-    still = not head.kinematics.readings
-    rectified = _rectified(head, np.zeros(0) if still else at) if still or at is not None else {}
+    if not head.kinematics.readings:
+        at = np.zeros(0)
+    rectified = {} if at is None else _rectified(head, at)
     with results_folder(folder):
         for name, mounted in head.cameras.items():
             content = intrinsics_fields(mounted.intrinsics) | {
@@ -66,7 +68,7 @@ def save(head: HeadCalibration, folder: Path, at: Array | None = None) -> None:
             write_yaml(folder / file_name(name), plain)
 
 
-def _rectified(head: HeadCalibration, at: Array) -> dict[str, dict[str, Array]]:
+def _rectified(head: HeadCalibration, at: Array) -> dict[str, dict[str, Any]]:
     """Compute R and P of the main cameras as ROS's own calibrator does; none: the head has one."""
     pair = main_pair(head)
     if pair is None:
@@ -75,12 +77,10 @@ def _rectified(head: HeadCalibration, at: Array) -> dict[str, dict[str, Array]]:
     if (fisheye := lenses[0].model == "fisheye") != (lenses[1].model == "fisheye"):
         raise VergenceError(f"OpenCV rectifies no fisheye lens with another: {' and '.join(pair)}.")
     T = relative_camera_pose(head, at, cameras=pair)
-    stated = [each for lens in lenses for each in (lens.matrix, lens.distortion)]
-    shown = *stated, lenses[0].size, T[:3, :3], T[:3, 3:].copy()
-    if fisheye:
-        found = cv2.fisheye.stereoRectify(*shown, flags=cv2.CALIB_ZERO_DISPARITY)
-    else:
-        found = cv2.stereoRectify(*shown, flags=cv2.CALIB_ZERO_DISPARITY, alpha=0)
+    K, D = ([getattr(lens, name) for lens in lenses] for name in ("matrix", "distortion"))
+    shown = K[0], D[0], K[1], D[1], lenses[0].size, T[:3, :3], T[:3, 3:].copy()
+    rectify = cv2.fisheye.stereoRectify if fisheye else partial(cv2.stereoRectify, alpha=0)
+    found = rectify(*shown, flags=cv2.CALIB_ZERO_DISPARITY)
     fields = "rectification_matrix", "projection_matrix"
     return {name: dict(zip(fields, found[k:4:2], strict=True)) for k, name in enumerate(pair)}
 

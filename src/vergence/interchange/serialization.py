@@ -47,21 +47,24 @@ Matrix = Annotated[Array, PlainValidator(_matrix)]
 """(rows, cols), written as a mapping with the keys rows, cols and data."""
 
 
-def lens_of(model: CameraModel, coefficients: Sequence[float]) -> tuple[CameraModel, Array]:
-    """Find the lens of a vector of OpenCV's coefficients, which may end in zeros, or lack these.
+def camera_of(
+    size: tuple[int, int], matrix: Array, model: CameraModel, coefficients: Sequence[float]
+) -> Camera:
+    """Make a camera of OpenCV's coefficients, which may end in zeros, or lack these.
 
     ValueError for coefficients of a lens that is none of ours.
     """
     k = np.trim_zeros(np.array(coefficients, dtype=float), "b")
     if model == "radial-tangential" and len(k) > len(COEFFICIENTS[model]):
         model = "rational"
-    size = len(COEFFICIENTS[model])
-    if len(k) > size or 0 < len(coefficients) < 4:
+    count = len(COEFFICIENTS[model])
+    if len(k) > count or 0 < len(coefficients) < 4:
         raise ValueError(
-            f"a {model} lens has {size} distortion coefficients, and 4 at least are stated; found "
+            f"a {model} lens has {count} distortion coefficients, and 4 at least are stated; found "
             f"{len(coefficients)}"
         )
-    return model, np.pad(k, (0, size - len(k)))
+    distortion = np.pad(k, (0, count - len(k)))
+    return Camera(width=size[0], height=size[1], matrix=matrix, distortion=distortion, model=model)
 
 
 class Intrinsics(BaseModel):
@@ -74,14 +77,8 @@ class Intrinsics(BaseModel):
 
     def camera(self, model: CameraModel = "radial-tangential") -> Camera:
         """Make the camera; ValueError if it has skew, or coefficients of another lens model."""
-        model, distortion = lens_of(model, self.distortion_coefficients.ravel().tolist())
-        camera = Camera(
-            width=self.image_width,
-            height=self.image_height,
-            matrix=self.camera_matrix,
-            distortion=distortion,
-            model=model,
-        )
+        size, k = (self.image_width, self.image_height), self.distortion_coefficients.ravel()
+        camera = camera_of(size, self.camera_matrix, model, k.tolist())
         if camera.matrix[0, 1] != 0:
             raise ValueError("camera_matrix is not [fx 0 cx; 0 fy cy; 0 0 1]")
         return camera

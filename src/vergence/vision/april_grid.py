@@ -50,8 +50,8 @@ def detect_april_grid(
     # Half a marker allows for the lens, and not for markers that were misread.
     side = float(np.median(np.linalg.norm(np.diff(quads, axis=1), axis=2)))
     column, row = numbers % board.tags_x, board.tags_y - 1 - numbers // board.tags_x
-    around = 2 * row[:, None] + [0, 0, 1, 1], 2 * column[:, None] + [0, 1, 1, 0]
-    index = np.ravel_multi_index(around, shape)
+    down, along = 2 * row[:, None] + [0, 0, 1, 1], 2 * column[:, None] + [0, 1, 1, 0]
+    index = (board.columns * down + along).astype(np.intp)
     H, kept = cv2.findHomography(at[index].mean(axis=1), quads.mean(axis=1), cv2.RANSAC, side / 2)
     if H is None or kept.sum() < LEAST_MARKERS or np.linalg.det(H) * H[2, 2] <= 0:
         return None  # also if they are seen from behind, or in another order

@@ -16,8 +16,8 @@ from vergence.vision.corner_refinement import smooth_map
 
 LEAST_AREA_PX = 12.0
 """Least area of a spot [px^2]; smaller ones have no centre of use."""
-OUTLINE = np.exp(2j * np.pi * np.arange(32) / 32)
-"""Points on the outline of a spot, about its centre and in its radius, as complex numbers."""
+OUTLINE = np.array([(np.cos(k * np.pi / 16), np.sin(k * np.pi / 16)) for k in range(32)])
+"""(32, 2) points on the outline of a spot, about its centre and in its radius."""
 AROUND = 1.35
 """Radius within which grey levels count, in that of the spot: beyond its blur, before the next."""
 ROUNDS = 3
@@ -56,8 +56,7 @@ def _centres(grey: np.ndarray, spots: Array, board: CircleGrid) -> Array | None:
     places, corners = corner_points(board)[:, :2] / board.square_m, spots
     radius = (0.7 if board.asymmetric else 0.5) / AROUND  # halfway to the next spot
     for _ in range(ROUNDS):
-        circle = radius * np.stack([OUTLINE.real, OUTLINE.imag], axis=-1)
-        outlines = smooth_map(places, corners, (places[:, None] + circle).reshape(-1, 2))
+        outlines = smooth_map(places, corners, (places[:, None] + radius * OUTLINE).reshape(-1, 2))
         outlines = outlines.reshape(len(places), -1, 2)
         outlines -= smooth_map(places, corners, places)[:, None]
         drawn = np.array([_moments(each) for each in outlines])

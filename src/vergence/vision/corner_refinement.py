@@ -76,7 +76,7 @@ def curvatures(grid: Array, places: Array | None = None) -> Array:
     """
     offsets = np.stack(np.meshgrid((-1, 0, 1), (-1, 0, 1)), axis=-1) / 4  # squares
     if places is None:
-        j, i = np.indices(grid.shape[:2])
+        j, i = np.indices(grid.shape[:2], dtype=float)
         places = np.stack([i, j], axis=-1)
     around = places[:, :, None, None] + offsets
     mapped = smooth_map(places.reshape(-1, 2), grid.reshape(-1, 2), around.reshape(-1, 2))
