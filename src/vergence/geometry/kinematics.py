@@ -130,9 +130,7 @@ FIXED_EYES = Kinematics({eye: () for eye in EYES}, ())
 def check_moves(kinematics: Kinematics, what: str) -> None:
     """Raise VergenceError if the eyes stand still, which something, in words, needs to move."""
     if not kinematics.readings:
-        raise VergenceError(
-            f"{what} needs eyes that move, and the cameras of this head stand still."
-        )
+        raise VergenceError(f"{what} needs moving eyes; the cameras of this head stand still.")
 
 
 def same_design(a: Kinematics, b: Kinematics, eyes: Collection[Side] = EYES) -> bool:

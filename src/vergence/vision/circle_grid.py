@@ -14,8 +14,6 @@ from vergence.arrays import Array
 from vergence.geometry.board import CircleGrid, corner_points
 from vergence.vision.corner_refinement import smooth_map
 
-LEAST_AREA_PX = 12.0
-"""Least area of a spot [px^2]; smaller ones have no centre of use."""
 OUTLINE = np.array([(np.cos(k * np.pi / 16), np.sin(k * np.pi / 16)) for k in range(32)])
 """(32, 2) points on the outline of a spot, about its centre and in its radius."""
 AROUND = 1.35
@@ -27,7 +25,7 @@ ROUNDS = 3
 def detect_circle_grid(grey: np.ndarray, board: CircleGrid) -> Array | None:
     """Locate centres (rows * columns, 2) [px] of dark spots in an image (H, W); None: not found."""
     parameters = cv2.SimpleBlobDetector.Params()
-    parameters.minArea, parameters.maxArea = LEAST_AREA_PX, grey.size / (board.columns * board.rows)
+    parameters.maxArea = grey.size / (board.columns * board.rows)
     parameters.minDistBetweenBlobs = 2.0
     spots = cv2.SimpleBlobDetector.create(parameters)
     size = board.columns, board.rows
