@@ -14,12 +14,9 @@ from scipy.stats import studentized_range
 
 from vergence.arrays import Array
 from vergence.data.dataset import LEAST_MOVING, MAX_GAP_S
-from vergence.recordings.moments import Moments
+from vergence.recordings.moments import WINDOW_NS, Moments
 from vergence.recordings.recording_map import FrameChoice, Span
 
-WINDOW_NS = 200_000_000
-"""Time before and after a moment in which all stands still [ns]: the largest latency of readings,
-so that a reading of an eye at rest is of the same posture as the image."""
 QUIETEST, RARELY = 0.1, 1e-3
 """Share of all moments at which a recording is assumed to rest at least, whose quantile gives its
 noise; and share of those at rest at which noise of readings may pass for motion."""
@@ -53,21 +50,21 @@ def choose_frames(moments: Moments, stated: FrameChoice) -> ChosenFrames:
 
     What `stated` has is taken from there. Moments without all readings are left out.
     """
-    known, joints, images = moments.known, joint_motion(moments), image_motion(moments)
+    known, alone = moments.known, _alone(moments)
+    joints, images = joint_motion(moments, alone), image_motion(moments)
     if stated.rest is not None:
         at_rest = _spans(moments, stated.rest)
-    elif np.median(np.diff(moments.time_ns, prepend=0)) > WINDOW_NS:
-        at_rest = list(np.arange(len(moments))[:, None])  # each image was taken on purpose
     else:
-        still = (joints <= 1).all(axis=1) & (images <= 1).all(axis=1)
-        at_rest = _runs(known & still)
+        still = known & (joints <= 1).all(axis=1)
+        single = list(np.flatnonzero(still & alone)[:, None])  # images that were taken on purpose
+        at_rest = [*single, *_runs(still & ~alone & (images <= 1).all(axis=1))]
     unrest = np.nansum(np.concatenate([joints, images], axis=1), axis=1)
     rest = [row for rows in at_rest for row in _stillest(moments, rows[known[rows]], unrest)]
     if stated.moving is None:
         turns = joints > 1
         eyes = turns.shape[1] - moments.neck_angles.shape[1]
         moving = _motions(
-            moments, known & turns[:, :eyes].any(axis=1) & ~turns[:, eyes:].any(axis=1)
+            moments, known & ~alone & turns[:, :eyes].any(axis=1) & ~turns[:, eyes:].any(axis=1)
         )
     else:
         moving = np.concatenate([np.zeros(0, int), *_spans(moments, stated.moving)])
@@ -107,7 +104,8 @@ def _motions(moments: Moments, moves: np.ndarray) -> np.ndarray:
 
     A constant speed looks like an offset of the joints: what counts is how much it varies.
     """
-    time_s, readings = seconds(moments), eye_readings(moments)
+    time_s, eyes = seconds(moments), -moments.neck_angles.shape[1] or None
+    readings = moments.elements[:, :eyes]
     pieces: list[tuple[float, np.ndarray]] = []
     for run in _runs(moves):
         for piece in np.split(run, np.flatnonzero(np.diff(time_s[run]) > MAX_GAP_S) + 1):
@@ -122,19 +120,20 @@ def _motions(moments: Moments, moves: np.ndarray) -> np.ndarray:
     )
 
 
-def joint_motion(moments: Moments) -> Array:
+def joint_motion(moments: Moments, alone: np.ndarray) -> Array:
     """Compute the range of each reading around each moment (N, s), relative to that of noise.
 
-    Eyes come first, then the neck's joints. NaN near moments without a reading.
+    Eyes come first, then the neck's joints. NaN near moments without a reading. Moments that are
+    `alone` (N,) are not compared with those before and after.
     """
-    eyes = eye_readings(moments)
+    read = moments.elements
     least, most, count = _extremes(
-        moments.time_ns,
-        np.concatenate([eyes, moments.neck_angles], axis=1),
-        moments.time_ns - WINDOW_NS,
-        moments.time_ns + WINDOW_NS,
+        moments.time_ns, read, moments.time_ns - WINDOW_NS, moments.time_ns + WINDOW_NS
     )
-    ranges, s = most - least, eyes.shape[1]
+    least, most = (np.where(alone[:, None], read, each) for each in (least, most))
+    for part in () if moments.around is None else moments.around:
+        least, most = np.fmin(least, part), np.fmax(most, part)
+    ranges, s = most - least, read.shape[1] - moments.neck_angles.shape[1]
     if moments.T_base_eye is not None:  # the noise of a turn may lie along any axis
         of_poses = ranges[:, :s].reshape(-1, 2, 3, 4)
         turns = np.linalg.norm(of_poses[..., :3], axis=(2, 3)) / np.sqrt(2)
@@ -149,22 +148,24 @@ def joint_motion(moments: Moments) -> Array:
 def image_motion(moments: Moments) -> Array:
     """Compute the motion of each camera's images around each moment (N, c), relative to noise."""
     change = np.nan_to_num(np.stack([*moments.change.values()], axis=1))
+    stream = ~_alone(moments)
+    if not stream.any():
+        return np.zeros_like(change)
     # A change is that of the time before its image: those of the window end after its middle.
     begin_ns = moments.time_ns
     motion = _extremes(begin_ns, change, begin_ns, begin_ns + WINDOW_NS)[1]
-    return motion / np.hypot(BRIGHTER * np.quantile(motion, QUIETEST, axis=0), STILL_PX)
+    return motion / np.hypot(BRIGHTER * np.quantile(motion[stream], QUIETEST, axis=0), STILL_PX)
+
+
+def _alone(moments: Moments) -> np.ndarray:
+    """Find the moments (N,) that are farther than WINDOW_NS from those before and after."""
+    far = np.diff(moments.time_ns) > WINDOW_NS
+    return np.concatenate([[True], far]) & np.concatenate([far, [True]])
 
 
 def joints_still(moments: Moments) -> np.ndarray:
-    """Find at which moments (N,) eyes and neck stand still by their readings."""
-    return np.asarray((joint_motion(moments) <= 1).all(axis=1))
-
-
-def eye_readings(moments: Moments) -> Array:
-    """Return the readings of the eyes (N, s) [rad], or the elements of their poses."""
-    if moments.T_base_eye is None:
-        return moments.eye_angles
-    return moments.T_base_eye[:, :, :3].reshape(len(moments), -1)
+    """Find at which moments (N,) eyes and neck stand still since the moment before."""
+    return np.asarray((joint_motion(moments, np.zeros(len(moments), bool)) <= 1).all(axis=1))
 
 
 def _extremes(

@@ -22,6 +22,9 @@ turn by 1 rad/s turn by 0.06 degrees meanwhile."""
 STILL = 2e-3
 """Largest change of a reading [rad], or an element of a pose, between successive moments at rest:
 that of an encoder with steps of 0.1 degrees."""
+WINDOW_NS = 200_000_000
+"""Time before and after a moment in which all stands still [ns]: the largest latency of readings,
+so that a reading of an eye at rest is of the same posture as the image."""
 JITTER = 1.1
 """Factor on periods for stamps that vary, as those of USB cameras do."""
 
@@ -44,12 +47,21 @@ class Moments:
     """(N, 2, 4, 4) measured poses of the left and the right eye in their bases [m], NaN where not
     known, the identity for an eye without cameras; None where joints are read instead."""
 
+    around: Array | None = None
+    """(4, N, s) elements of the posture within WINDOW_NS before and after; NaN where unknown. None:
+    only the moments are known."""
+
     @property
     def known(self) -> np.ndarray:
         """Whether the readings, or poses, of each moment (N,) are known."""
         given = self.eye_angles if self.T_base_eye is None else self.T_base_eye
         given = np.hstack([given.reshape(len(self), -1), self.neck_angles])
         return np.asarray(np.isfinite(given).all(axis=1))
+
+    @property
+    def elements(self) -> Array:
+        """What is read of the eyes, or the elements of their poses, and of the neck (N, s)."""
+        return _elements(self.eye_angles, self.neck_angles, self.T_base_eye)
 
     def __len__(self) -> int:
         return len(self.time_ns)
@@ -70,17 +82,12 @@ def find_moments(scanned: Scan, mapped: RecordingMap, description: Description) 
         rows, first = np.unique(row, return_index=True)
         images[name] = np.full(len(time_ns), -1)
         images[name][rows] = first
-    angles = readings_at(scanned, mapped, description, time_ns)
-    zero = np.zeros(len(time_ns))
-    readings = description.head_kinematics.readings
-    eye_angles = np.stack([angles.get(name, zero) for name in readings], axis=-1)
-    neck = [angles[name] for name in description.neck_joints]
-    neck_angles = np.array(neck).reshape(-1, len(time_ns)).T
-    T_base_eye, posture = None, np.hstack([eye_angles, neck_angles])
-    if mapped.poses:
-        T_base_eye = eye_poses(scanned.poses, mapped.poses, time_ns, max_gap_s=mapped.max_gap_s)
-        posture = np.hstack([T_base_eye.reshape(len(time_ns), -1), neck_angles])
-        eye_angles = np.full_like(eye_angles, np.nan)
+    eye_angles, neck_angles, T_base_eye = _postures(scanned, mapped, description, time_ns)
+    posture = _elements(eye_angles, neck_angles, T_base_eye)
+    around = np.stack([
+        _elements(*_postures(scanned, mapped, description, time_ns + round(part * WINDOW_NS)))
+        for part in (-1.0, -0.5, 0.5, 1.0)
+    ])  # fmt: skip
     steps = [np.diff(np.unique(track.stamp_ns)) for track in tracks.values()]
     period_ns = min(float(np.median(each)) if len(each) else 0.0 for each in steps)
     kept = _join_at_rest(time_ns, images, posture, period_ns)
@@ -96,7 +103,29 @@ def find_moments(scanned: Scan, mapped: RecordingMap, description: Description) 
         eye_angles=eye_angles[kept],
         neck_angles=neck_angles[kept],
         T_base_eye=None if T_base_eye is None else T_base_eye[kept],
+        around=around[:, kept],
     )
+
+
+def _postures(
+    scanned: Scan, mapped: RecordingMap, description: Description, at_ns: np.ndarray
+) -> tuple[Array, Array, Array | None]:
+    """Interpolate the readings of eyes (N, r) and neck (N, n), and measured poses, at N times."""
+    angles, zero = readings_at(scanned, mapped, description, at_ns), np.zeros(len(at_ns))
+    readings = description.head_kinematics.readings
+    eye_angles = np.stack([angles.get(name, zero) for name in readings], axis=-1)
+    neck = [angles[name] for name in description.neck_joints]
+    neck_angles = np.array(neck).reshape(-1, len(at_ns)).T
+    if not mapped.poses:
+        return eye_angles, neck_angles, None
+    T_base_eye = eye_poses(scanned.poses, mapped.poses, at_ns, max_gap_s=mapped.max_gap_s)
+    return np.full_like(eye_angles, np.nan), neck_angles, T_base_eye
+
+
+def _elements(eye_angles: Array, neck_angles: Array, T_base_eye: Array | None) -> Array:
+    """Join what is read of the eyes, or the elements of their poses, and of the neck (N, s)."""
+    eyes = eye_angles if T_base_eye is None else T_base_eye[:, :, :3].reshape(len(T_base_eye), -1)
+    return np.hstack([eyes, neck_angles])
 
 
 def check_stamps(
