@@ -56,8 +56,8 @@ class BagOptions:
 
     bag: Optional[Literal["ros1", "ros2", "mcap"]] = None
     """Bag of ROS 1, or of ROS 2 in SQLite or MCAP, that is written too; default: none."""
-    joint_rate: float = 0.0
-    """Rate of the joint readings in the bag [Hz]; 0: those of the dataset."""
+    joint_rate: float = 100.0
+    """Rate of the joint readings in the bag [Hz]; 0: one reading an image, as in the dataset."""
     missing: float = 0.0
     """Part of the joint messages that is lost, from 0 to less than 1."""
     camera_info: Flag = False

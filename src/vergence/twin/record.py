@@ -191,7 +191,8 @@ def _capture(
 ) -> Iterator[tuple[Array, DatasetRow]]:
     """Yield the true eye angles (r,) and the dataset's row of each frame.
 
-    After each frame at rest and after the last one the motion goes on for `hold_s`.
+    After each frame at rest the eyes stay for `hold_s`; unless it is 0, a frame at rest follows the
+    motion, so that a recording shows that the board is still there.
     """
     for shot in carry_out(twin, shots, interval_s=0.1):  # each row has its own time stamp
         yield _frame(twin, shot, moving=False)
@@ -204,7 +205,10 @@ def _capture(
             twin.advance(begin + time_s, lambda now: twin.posture(_sweep(twin, now - begin)))
             shot = replace(fixed, eye_angles=_sweep(twin, time_s))
             yield _frame(twin, replace(shot, cameras=_seeing(twin, board, shot)), moving=True)
-        twin.advance(twin.time_s + hold_s, lambda now: twin.posture(_sweep(twin, now - begin)))
+        if hold_s:
+            twin.settle(twin.posture(fixed.eye_angles))
+            yield _frame(twin, fixed, moving=False)
+            twin.advance(twin.time_s + hold_s, twin.posture(fixed.eye_angles))
 
 
 def _frame(twin: Twin, shot: Shot, *, moving: bool) -> tuple[Array, DatasetRow]:
