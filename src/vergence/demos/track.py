@@ -127,27 +127,27 @@ def follow(
             truth = in_body(settings.calibration, where, frame.neck_angles)
             fused = np.sum((state.track.position - truth) ** 2)
             single = np.sum((state.measured - truth) ** 2)
-        if all(name in frame.images for name in settings.wide):
+        if len(settings.wide) == 2 and set(settings.wide) <= set(frame.images):
             wide = np.sum((by_wide_images(settings, frame) - where) ** 2)
-        distances = foveal_errors(twin, settings)
-        rows.append((frame.time_s, in_all_foveas(twin, settings), *distances, fused, single, wide))
+        squared = np.mean(foveal_errors(twin, settings) ** 2)
+        rows.append((frame.time_s, in_all_foveas(twin, settings), squared, fused, single, wide))
 
     at_rest = np.zeros(len(settings.joints))
     state = initial_gaze_state(settings, at_rest, head.now_s(), geometry=geometry)
     run_gaze(head, settings, state, seconds - FRAME_S, watch=keep)
-    return _statistics(np.array(rows, float).reshape(-1, 7), seconds, hidden_s)
+    return _statistics(np.array(rows, float).reshape(-1, 6), seconds, hidden_s)
 
 
 def _statistics(table: Array, seconds: float, hidden_s: float | None) -> Summary:
-    """Compute the statistics of a run from the rows (N, 7) of the frames that count.
+    """Compute the statistics of a run from the rows (N, 6) of the frames that count.
 
-    A row has the time [s]; whether the object is in both narrow images; its distances from their
-    centres [px]; and squared errors [m^2] of the track, of the single frame and of the wide images,
+    A row has the time [s]; whether the object is in both narrow images; the mean square of its
+    distances from their centres [px^2]; and squared errors [m^2] of the track, of the single frame and of the wide images,
     NaN without an estimate.
     """
     time, seen = table[:, 0], table[:, 1] == 1
-    fused, single, wide = (column[np.isfinite(column)] for column in table[:, 4:].T)
-    if not seen.any() or not len(fused):
+    fused, single, wide = (column[np.isfinite(column)] for column in table[:, 3:].T)
+    if not seen.any():
         return Summary(seconds, len(time), 0.0, np.inf, np.inf, np.inf, np.inf, False)
     ends = -np.inf if hidden_s is None else hidden_s + HIDDEN_S
     back = seen[(time >= ends) & (time < ends + 1.0)]
@@ -155,7 +155,7 @@ def _statistics(table: Array, seconds: float, hidden_s: float | None) -> Summary
         seconds=seconds,
         frames=len(time),
         in_both=float(seen.mean()),
-        rms_px=float(np.sqrt((table[seen, 2:4] ** 2).mean())),
+        rms_px=float(np.sqrt(table[seen, 2].mean())),
         position_rms_m=_root_mean(fused),
         single_frame_rms_m=_root_mean(single),
         wide_rms_m=_root_mean(wide),
