@@ -326,7 +326,7 @@ def test_depth_of_the_twin_by_a_calibration_of_another_head_is_refused(
     [
         (["--out", "x"], "found neither"),
         (["folder", "--twin", "--out", "x"], "found both"),
-        (["folder", "--out", "x", "--seed", "3"], "--seed are of the twin; found a dataset"),
+        (["folder", "--out", "x", "--seed", "3"], "Options of the twin are given, and a dataset"),
         (["folder", "--out", "x"], "needs --calibration FILE"),
         (["--twin", "--pairs", "0", "--out", "x"], "Asked for 0 pairs"),
     ],

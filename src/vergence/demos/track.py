@@ -142,8 +142,8 @@ def _statistics(table: Array, seconds: float, hidden_s: float | None) -> Summary
     """Compute the statistics of a run from the rows (N, 6) of the frames that count.
 
     A row has the time [s]; whether the object is in both narrow images; the mean square of its
-    distances from their centres [px^2]; and squared errors [m^2] of the track, of the single frame and of the wide images,
-    NaN without an estimate.
+    distances from their centres [px^2]; and squared errors [m^2] of the track, of the single frame
+    and of the wide images, NaN without an estimate.
     """
     time, seen = table[:, 0], table[:, 1] == 1
     fused, single, wide = (column[np.isfinite(column)] for column in table[:, 3:].T)
