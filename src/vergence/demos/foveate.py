@@ -22,6 +22,7 @@ from vergence.demos.experiment import (
     p95,
     recorded,
 )
+from vergence.errors import VergenceError
 from vergence.gaze.controller import run_gaze
 from vergence.gaze.state import GazePhase, GazeSettings, GazeState, initial_gaze_state
 from vergence.progress import Progress, silent
@@ -107,9 +108,11 @@ def targets(
         return depth[:, None] * np.stack([np.ones(count), np.tan(pan), -np.tan(tilt)], axis=-1)
 
     where = draw(trials)
-    while not (good := free(where)).all():
+    for _ in range(100):
+        if (good := free(where)).all():
+            return where
         where[~good] = draw(int((~good).sum()))
-    return where
+    raise VergenceError("This head can hardly turn to any place before it; see its limits.")
 
 
 def run_trial(
