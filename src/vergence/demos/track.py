@@ -129,7 +129,7 @@ def follow(
             single = np.sum((state.measured - truth) ** 2)
         if len(settings.wide) == 2 and set(settings.wide) <= set(frame.images):
             wide = np.sum((by_wide_images(settings, frame) - where) ** 2)
-        squared = np.mean(foveal_errors(twin, settings) ** 2)
+        squared = float(np.mean(foveal_errors(twin, settings) ** 2))
         rows.append((frame.time_s, in_all_foveas(twin, settings), squared, fused, single, wide))
 
     at_rest = np.zeros(len(settings.joints))

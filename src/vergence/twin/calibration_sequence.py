@@ -19,7 +19,7 @@ from vergence.calibration.intrinsics import lenses_of_the_paper
 from vergence.calibration.observations import Observations
 from vergence.errors import VergenceError
 from vergence.gaze.commands import JointLimits, usual_limits
-from vergence.geometry.board import Board, Chessboard, corner_points
+from vergence.geometry.board import Board, Charuco, Chessboard, corner_points
 from vergence.geometry.head import (
     R_EYE_CAM,
     HeadCalibration,
@@ -219,9 +219,10 @@ def _held_board(
 def board_as_given(profile: ErrorProfile, board: Board = BOARD) -> Board:
     """Make the board with the dimensions that the calibration is given."""
     printed = 1 + profile.calibration.square_percent / 100
-    if isinstance(board, Chessboard):
-        return replace(board, square_m=board.square_m / printed)
-    return replace(board, square_m=board.square_m / printed, marker_m=board.marker_m / printed)
+    given = replace(board, square_m=board.square_m / printed)
+    return (
+        replace(given, marker_m=given.marker_m / printed) if isinstance(given, Charuco) else given
+    )
 
 
 def carry_out(twin: Twin, shots: Sequence[Shot], *, interval_s: float = 0.0) -> Iterator[Shot]:

@@ -58,4 +58,5 @@ def lens_of(
     else:
         raise VergenceError(f"The lens of {name} is not known; give its fov_deg or camera_info.")
     matrix[:2, 2] = (np.array(size) - 1) / 2 - shift
-    return Camera(*size, matrix, np.array(own.distortion), own.model)
+    width, height = size
+    return Camera(width, height, matrix, np.array(own.distortion), own.model)
