@@ -8,10 +8,10 @@ from vergence.errors import VergenceError
 from vergence.twin.head_file import load_head_file
 
 
-def test_the_default_head_states_its_model_and_its_lenses_only():
+def test_the_default_head_states_its_model_cameras_and_lenses_only():
     stated, model = load_head_file()
     assert model.is_file()
-    assert stated.model_fields_set == {"model", "lenses"}
+    assert stated.model_fields_set == {"model", "cameras", "lenses"}
     assert list(stated.lenses) == ["2.8mm", "4.0mm"]
 
 
