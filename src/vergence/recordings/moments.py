@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -136,11 +137,13 @@ def check_stamps(
     VergenceError if images and joint readings cannot be brought together by their stamps.
     """
     remedy = 'set stamps = "received" in the map if the recorder has one clock'
-    used = {each.images: scanned.images[each.images].stamp_ns for each in mapped.cameras.values()}
-    for joint in description.sources.values():
-        used[joint.column] = joint_track(scanned, joint.column).stamp_ns
+    images = {each.images: scanned.images[each.images].stamp_ns for each in mapped.cameras.values()}
+    joints = {
+        joint.column: joint_track(scanned, joint.column).stamp_ns
+        for joint in description.sources.values()
+    }
     findings = []
-    for name, stamp_ns in used.items():
+    for name, stamp_ns in (images | joints).items():
         steps = np.diff(stamp_ns)
         odd = f"{int((steps <= 0).sum())} of {len(stamp_ns)} stamps of {name} repeat the one before"
         if 2 * (steps == 0).sum() > len(steps) > 1:
@@ -149,12 +152,13 @@ def check_stamps(
             late_s = -steps.min() * 1e-9
             sentence = f"{odd}, or are up to {late_s:.3g} s earlier; they were put in order."
             findings.append(warning("stamps-out-of-order", sentence, name))
-    last, first = max(used, key=lambda n: used[n].min()), min(used, key=lambda n: used[n].max())
-    if used[last].min() > used[first].max():
-        raise VergenceError(
-            f"The stamps are of two clocks: those of {first} end at {used[first].max() * 1e-9:.3f} "
-            f"s, before those of {last} begin at {used[last].min() * 1e-9:.3f} s; {remedy}."
-        )
+    for pair in itertools.product(images.items(), joints.items()):
+        (first, early_ns), (last, late_ns) = sorted(pair, key=lambda each: each[1].max())
+        if early_ns.max() < late_ns.min():
+            raise VergenceError(
+                f"The stamps are of two clocks: those of {first} end at {early_ns.max() * 1e-9:.3f}"
+                f" s, before those of {last} begin at {late_ns.min() * 1e-9:.3f} s; {remedy}."
+            )
     return tuple(findings)
 
 

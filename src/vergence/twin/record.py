@@ -205,7 +205,8 @@ def _capture(
             twin.advance(begin + time_s, lambda now: twin.posture(_sweep(twin, now - begin)))
             shot = replace(fixed, eye_angles=_sweep(twin, time_s))
             yield _frame(twin, replace(shot, cameras=_seeing(twin, board, shot)), moving=True)
-        if hold_s:
+        if hold_s:  # the motion goes on for a while, since readings are interpolated
+            twin.advance(twin.time_s + hold_s, lambda now: twin.posture(_sweep(twin, now - begin)))
             twin.settle(twin.posture(fixed.eye_angles))
             yield _frame(twin, fixed, moving=False)
             twin.advance(twin.time_s + hold_s, twin.posture(fixed.eye_angles))
