@@ -248,3 +248,31 @@ def test_points_have_the_colour_of_their_pixel():
     aside = np.abs(points[:, 1]) > 0.02
     redder = colours[:, 0].astype(int) > colours[:, 2]
     assert share(redder[aside] == (points[aside, 1] > 0)) > 0.999  # others are black
+
+
+def test_another_matcher_states_disparities_and_their_deviation():
+    """What it does not match stays so, and its deviation joins that of the readings alone."""
+    seen: list[np.ndarray] = []
+
+    def matcher(left: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        seen.extend([left, right])
+        disparity = np.full(left.shape[:2], 30.0)
+        disparity[200:210], disparity[220:230] = -1.0, np.nan
+        return disparity, np.full(left.shape[:2], 0.2)
+
+    found = dense_depth(PAIR, *surface(20), matcher=matcher)
+    assert [each.shape for each in seen] == [(*PAIR.left.map_x.shape, 3)] * 2
+    matched = np.isfinite(found.depth_m[INSIDE])
+    assert share(matched) == 1 - 20 / (INSIDE[0].stop - INSIDE[0].start)
+    np.testing.assert_allclose(found.disparity_px[INSIDE][matched], 30.0)
+    np.testing.assert_allclose(std_px(found)[INSIDE][matched], 0.2)
+    noisy = dense_depth(PAIR, *surface(20), matcher=matcher, reading_std=1e-3)
+    by_readings = dense_depth(
+        PAIR, *surface(20), matcher=lambda *pair: (matcher(*pair)[0], 1e-9 + 0 * matcher(*pair)[1]),
+        reading_std=1e-3,
+    )  # fmt: skip
+    both = np.hypot(0.2, std_px(by_readings)[INSIDE][matched])
+    np.testing.assert_allclose(std_px(noisy)[INSIDE][matched], both, rtol=1e-6)
+    for wrong in ([1.0], np.zeros(PAIR.left.map_x.shape)):
+        with pytest.raises(VergenceError, match="A matcher returns a disparity and its standard"):
+            dense_depth(PAIR, *surface(20), matcher=lambda *pair, w=wrong: (matcher(*pair)[0], w))

@@ -1,7 +1,8 @@
 """Dense depth of a rectified pair by cv2.StereoSGBM (Hirschmueller 2008), with its deviation.
 
 The standard deviation has three parts: texture, the slant of surfaces within a block, and the
-errors of calibration and joint readings.
+errors of calibration and joint readings. Another matcher states a deviation in place of the first
+two.
 """
 
 from __future__ import annotations
@@ -34,6 +35,10 @@ _SLOPE_PX = 9
 """Side of the square in which the slant of a surface is fitted: about two blocks."""
 _GRID_PX = 32
 """Spacing of the pixels for which the calibration's part is computed, which changes slowly."""
+Matcher = Callable[[np.ndarray, np.ndarray], tuple[ArrayLike, ArrayLike]]
+"""Matches rectified images, left and right (H, W, 3) of uint8, RGB: disparity (H, W) [px] of the
+left one's pixels, left column minus right column, and its standard deviation (H, W) [px]. A
+disparity that is not above 0, or NaN in either, stands for no match."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +53,8 @@ class DenseDepth:
     """(H, W) standard deviation of the depth; of the matching alone where neither calibration nor
     readings state any noise. It does not describe wrong matches."""
     textured: np.ndarray
-    """(H, W) of bool: matched, where texture determines the disparity to TEXTURED_PX."""
+    """(H, W) of bool: matched, where texture, or what another matcher states, determines the
+    disparity to TEXTURED_PX."""
     image: np.ndarray
     """(H, W, 3) uint8: the left rectified image."""
 
@@ -61,6 +67,7 @@ def dense_depth(
     nearest_m: float | None = None,
     reading_std: ArrayLike | None = None,
     located: Callable[..., LocatedPoints] | None = None,
+    matcher: Matcher | None = None,
 ) -> DenseDepth:
     """Compute the depth of the pixels of a left image.
 
@@ -73,10 +80,12 @@ def dense_depth(
         reading_std: noise of the readings, as in `uncertainty.locate`.
         located: a function that locates exact pixels, `left` and `right` (N, 2), with the accuracy
             of the geometry, in place of the head's and reading_std.
+        matcher: matches in place of semi-global matching; `nearest_m` does not limit it.
 
     Raises:
-        VergenceError: the nearest depth is not positive, or its disparity exceeds the image; or an
-            image is missing, not uint8, or of another size than the calibration's.
+        VergenceError: the nearest depth is not positive, or its disparity exceeds the image; an
+            image is missing, not uint8, or of another size than the calibration's; or what the
+            matcher returns has another shape, or a standard deviation that is not above 0.
     """
     width = pair.left.map_x.shape[1]
     scale = pair.matrix[0, 0] * pair.baseline_m
@@ -91,11 +100,14 @@ def dense_depth(
         rectified_image(view, checked_image(image, "Dense depth"))
         for view, image in ((pair.left, left), (pair.right, right))
     ]
-    grey = [grey_levels(each) for each in found]
-    colour = found[0] if found[0].ndim == 3 else cv2.cvtColor(found[0], cv2.COLOR_GRAY2RGB)
-    both = pair.left.seen & pair.right.seen
-    alike = of_equal_contrast(grey[0], grey[1], both[::2, ::2])
-    disparity = _match(*alike, scale / nearest_m)
+    colour = [e if e.ndim == 3 else cv2.cvtColor(e, cv2.COLOR_GRAY2RGB) for e in found]
+    if matcher is None:
+        grey = [grey_levels(each) for each in found]
+        both = pair.left.seen & pair.right.seen
+        alike = of_equal_contrast(grey[0], grey[1], both[::2, ::2])
+        disparity, by_texture = _match(*alike, scale / nearest_m), _std_by_texture(grey[0])
+    else:
+        disparity, by_texture = _matched(matcher, *colour)
     u, v = np.meshgrid(*map(np.arange, disparity.shape[::-1]))
     opposite = np.round(u - np.nan_to_num(disparity)).astype(int)
     block = np.ones((BLOCK_PX, BLOCK_PX), np.uint8)
@@ -103,7 +115,6 @@ def dense_depth(
     disparity[~(whole[0] & (opposite >= 0) & whole[1][v, opposite])] = np.nan
     pixels = np.stack([u, v], axis=-1).astype(float)
     depth = rectified_points(pair, pixels, disparity)[..., 2]
-    by_texture = _std_by_texture(grey[0])
     if located is None and (states_noise(pair.head) or reading_std is not None):
         located = partial(
             locate,
@@ -114,14 +125,29 @@ def dense_depth(
             reading_std=reading_std,
         )
     by_geometry = _std_by_geometry(pair, disparity, located)
-    std_px = np.sqrt(by_texture**2 + _std_by_slope(disparity) ** 2 + by_geometry**2)
+    by_slope = _std_by_slope(disparity) if matcher is None else 0.0
+    std_px = np.sqrt(by_texture**2 + by_slope**2 + by_geometry**2)
     return DenseDepth(
         disparity_px=disparity,
         depth_m=depth,
         std_m=depth_error(depth, pair.baseline_m, pair.matrix[0, 0], std_px),
         textured=np.isfinite(depth) & (by_texture <= TEXTURED_PX),
-        image=colour,
+        image=colour[0],
     )
+
+
+def _matched(matcher: Matcher, left: np.ndarray, right: np.ndarray) -> tuple[Array, Array]:
+    """Check what another matcher returns: disparity and its standard deviation (H, W) [px]."""
+    disparity, std = (np.array(each, dtype=float) for each in matcher(left, right))
+    known = (disparity > 0) & (disparity < np.inf) & ~np.isnan(std)
+    shape = left.shape[:2]
+    if disparity.shape != shape or std.shape != shape or not (std[known] > 0).all():
+        raise VergenceError(
+            f"A matcher returns a disparity and its standard deviation above 0, arrays of shape "
+            f"{shape} [px]; found shapes {disparity.shape} and {std.shape}, least deviation "
+            f"{np.min(std, initial=np.inf):g}."
+        )
+    return np.where(known, disparity, np.nan), std
 
 
 def _match(left: np.ndarray, right: np.ndarray, largest_px: float) -> Array:
