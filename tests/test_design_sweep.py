@@ -94,6 +94,15 @@ def test_points_that_no_image_holds_are_left_out():
     assert np.isnan(compute_chunk(first.model_copy(update={"workspace": out}))).all()
 
 
+@pytest.mark.parametrize("change", [{"square_mm": (5.0,)}, {"baseline_mm": (600.0,)}])
+def test_designs_whose_board_the_cameras_do_not_see_together_are_out_of_reach(change):
+    designs = {**SMALL.designs.model_dump(), **dict.fromkeys(("baseline_mm", "focal_px"))}
+    designs |= {"baseline_mm": (60.0,), "focal_px": (450.0,), **change}
+    found = sweep(SMALL.model_copy(update={"designs": Designs(**designs)}))
+    assert np.isnan(found.worst_m).all()
+    assert cheapest(found, 1.0, 0.5) == []
+
+
 @pytest.mark.slow
 def test_two_processes_give_the_same_numbers(swept):
     found = sweep(SMALL, jobs=2)

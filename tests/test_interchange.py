@@ -2,6 +2,7 @@
 
 import ast
 from dataclasses import replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -152,8 +153,9 @@ def test_a_format_that_does_not_exist_is_answered_with_those_that_do(tmp_path):
 
 
 def test_opencv_says_which_endings_it_knows(tmp_path):
-    with pytest.raises(VergenceError, match=r"\.yml, \.yaml, \.json"):
-        opencv.save(unskewed_head(19), tmp_path / "head.txt")
+    for call in (partial(opencv.save, unskewed_head(19)), opencv.load):
+        with pytest.raises(VergenceError, match=r"\.yml, \.yaml, \.json; found 'head\.xml'"):
+            call(tmp_path / "head.xml")
 
 
 FISHEYE = (-0.02, 0.01, -0.004, 0.001)

@@ -244,7 +244,7 @@ def test_a_dataset_is_calibrated_first_and_states_its_board(
     kinematics = calibrated.kinematics
     cameras = {eye: SimpleNamespace(eye=eye) for eye in EYES}
     about = SimpleNamespace(board=BOARD, head_kinematics=kinematics, cameras=cameras)
-    data = SimpleNamespace(description=about, T_base_eye=None)
+    data = SimpleNamespace(description=about, board=BOARD, T_base_eye=None)
     monkeypatch.setattr(command, "load_dataset", lambda folder: data)
     result = SimpleNamespace(head=calibrated, accuracy=calibrated.accuracy)
     begun = []
@@ -285,6 +285,7 @@ def test_the_guide_to_plans_runs(calibrated, quick, tmp_path, monkeypatch, capsy
         ),
         (["--board", "9", "6", "0.03", "--distances", "0"], "Distances of points are above 0 m"),
         (["--board", "9", "6", "0.03", "--distances", "0.02"], "name larger distances"),
+        (["--board", "9", "6", "0.03", "--distances", "1", "900"], "Points at 900 m are out of"),
     ],
 )
 def test_wrong_options_end_in_a_sentence(

@@ -60,7 +60,8 @@ class Sensitivity:
     common: Array
     """(N,) [m^2 / rad^2] twice the covariance by errors of the same joint of both eyes."""
     calibration: Array
-    """(J, N) [m^2] by one view of the standard recording, for each level of joint noise."""
+    """(J, N) [m^2] by one view of the standard recording, for each level of joint noise; infinite
+    if the recording does not determine the head."""
     offset_px: Array
     """(N, 2) largest distance of the point from the middle of an image, sideways and upwards."""
 
@@ -156,9 +157,13 @@ def sensitivity(
     )
     calibration = []
     for of_views in information:
-        total = total_information(of_views, views.placement)
-        scale = 1 / np.sqrt(np.diag(total))
-        L = np.linalg.cholesky(np.linalg.inv(total * np.outer(scale, scale)))
+        try:
+            total = total_information(of_views, views.placement)
+            scale = 1 / np.sqrt(np.maximum(np.diag(total), np.finfo(float).tiny))
+            L = np.linalg.cholesky(np.linalg.inv(total * np.outer(scale, scale)))
+        except np.linalg.LinAlgError:  # the views show too little of the board
+            calibration.append(np.full(len(points), np.inf))
+            continue
         calibration.append(VIEWS * ((by_names @ (scale[:, None] * L)) ** 2).sum(axis=(1, 2)))
     middle = head.cameras[CAMERAS[0]].intrinsics.matrix[:2, 2]
     return Sensitivity(

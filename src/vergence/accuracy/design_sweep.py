@@ -42,7 +42,7 @@ class Sweep:
     settings: DesignSettings
     worst_m: Array
     """Root mean square error of a point at a distance, in the worst direction and posture; NaN if
-    no image shows such a point."""
+    no image shows such a point, or views of the board do not determine the head."""
     mean_m: Array
     """Root mean square error over all directions and postures."""
     cost: Array
@@ -90,7 +90,7 @@ def compute_chunk(settings: DesignSettings) -> Array:
         squares = np.where(held, squares.reshape(-1, *held.shape), 0.0)
         found[0, v, c, j, :, t] = squares.max(axis=-1)
         found[1, v, c, j, :, t] = squares.sum(axis=-1) / np.maximum(count, 1)
-    return np.sqrt(np.where(count > 0, found, np.nan))
+    return np.sqrt(np.where((count > 0) & np.isfinite(found), found, np.nan))
 
 
 def _late_rad(settings: DesignSettings, delay_ms: float) -> float:

@@ -39,6 +39,9 @@ LIMIT_RAD = float(np.radians(20.0))
 """Maximum turn of a joint [rad]; beyond, a board is hard to hold."""
 CANDIDATES = (40, 12)
 """Places of the board that are tried, and directions of gaze at each."""
+FARTHEST_STD = 1 / 3
+"""Largest standard deviation of a point, in distances: beyond, three of them reach from the eyes
+to infinity, and the covariance is none of a located point."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +86,8 @@ def plan(
 
     Raises:
         VergenceError: no covariance is stated, the head has one eye, no board can be seen, the
-            workspace is out of the eyes' reach, or more views than candidates are asked for.
+            workspace is out of the eyes' reach, points are too far away to be located, or more
+            views than candidates are asked for.
     """
     check_seed(seed)
     check_moves(head.kinematics, "A plan of views")
@@ -123,6 +127,15 @@ def plan(
     ]
     covariances: Array = np.linalg.inv(np.array([known, *steps])).astype(float)
     std = largest_std(by_scaled, covariances)
+    distance = np.linalg.norm(points.points, axis=1)
+    if (std[-1] > FARTHEST_STD * distance).any():
+        k = int((std[-1] / distance).argmax())
+        reach = FARTHEST_STD * distance[k] ** 2 / std[-1][k]  # the deviation grows by the square
+        raise VergenceError(
+            f"Points at {distance[k]:.3g} m are out of reach: {views} views leave a standard "
+            f"deviation of {std[-1][k]:.3g} m; name distances up to about {reach:.1g} m, or more "
+            "views."
+        )
     return Plan(head, board, taken, std[0], std[-1], std[1:].max(axis=1), points)
 
 

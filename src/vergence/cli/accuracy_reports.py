@@ -20,6 +20,7 @@ from vergence.accuracy.design_sweep import (
 )
 from vergence.accuracy.plan import Plan
 from vergence.cli.report import Report
+from vergence.errors import VergenceError
 from vergence.files import REPORT, markdown_table, whole_file, write_whole
 from vergence.geometry.board import corner_points
 from vergence.geometry.head import base_pose
@@ -107,6 +108,12 @@ def design_report(
         | {"cost": float(swept.cost[place]), "worst_mm": float(1e3 * worst[place])}
         for place in places
     ]
+    if np.isinf(worst[places[0]]):
+        raise VergenceError(
+            f"None of {swept.cost.size:,} designs shows both cameras the points at "
+            f"{distance_m:g} m and enough of the board to calibrate with; try a shorter baseline, "
+            "larger squares or a shorter focal length."
+        )
     first, count = designs[0], int((worst <= accuracy_m).sum())
     ahead = np.array([[distance_m, 0.0, 0.0]])
     squares = by_source(settings, values_of(settings, places[0]), ahead)[:, 0]

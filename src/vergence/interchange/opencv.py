@@ -50,11 +50,7 @@ def save(head: HeadCalibration, path: Path) -> None:
     SUFFIXES, or the file cannot be written.
     """
     check_cameras(head, "OpenCV's camera model")
-    if path.suffix not in SUFFIXES:
-        raise VergenceError(
-            f"OpenCV chooses the format by the file's suffix, one of {', '.join(SUFFIXES)}; found "
-            f"{path.name!r}."
-        )
+    _check_suffix(path)
     content = {
         "format": FORMAT,
         "cameras": {
@@ -81,6 +77,14 @@ def save(head: HeadCalibration, path: Path) -> None:
     storage = cv2.FileStorage(f"head{path.suffix}", flags)  # the suffix chooses the format
     _write(storage, content)
     write_whole(path, storage.releaseAndGetString())
+
+
+def _check_suffix(path: Path) -> None:
+    if path.suffix not in SUFFIXES:
+        raise VergenceError(
+            "OpenCV tells the format of a file by its suffix, and heads are in one of "
+            f"{', '.join(SUFFIXES)}; found {path.name!r}."
+        )
 
 
 def _neck_fields(neck: Neck) -> dict[str, Any]:
@@ -154,6 +158,7 @@ def load(path: Path) -> HeadCalibration:
 
     cv2.FileStorage is not used: its parser can end the process on a damaged file.
     """
+    _check_suffix(path)
     parse = parse_json if path.suffix == ".json" else parse_yaml
     return read(path, "a head in a file of OpenCV's FileStorage", _head, parse)
 
