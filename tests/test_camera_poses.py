@@ -25,7 +25,7 @@ from vergence.geometry.se3 import boxminus, inverse, transform
 from vergence.recordings.camera_poses import CameraPoses, recording_poses, write_poses
 from vergence.recordings.formats import open_recording
 from vergence.recordings.recording_map import CameraSource, RecordingMap, describe
-from vergence.recordings.scan import ImageTrack, JointTrack, Scan, scan
+from vergence.recordings.scan import ImageTrack, Scan, Track, scan
 
 START_NS = 1_700_000_000_123_456_789
 OFFSET_S = 0.045
@@ -54,8 +54,7 @@ def recorded(head: HeadCalibration, seed: int = 0) -> tuple[Scan, Description, R
     scanned = Scan(
         images={f"/{name}/image": images for name in head.cameras},
         joints={
-            ("/joints", name): JointTrack(stamp_ns, -readings[:, k])
-            for k, name in enumerate(EYE_JOINTS)
+            ("/joints", name): Track(stamp_ns, -readings[:, k]) for k, name in enumerate(EYE_JOINTS)
         },
         lenses={},
         poses={},
@@ -149,7 +148,7 @@ def test_transforms_are_read_back_from_a_bag(name: str, tmp_path):
     for each in found:
         poses = scanned.poses["head", each.camera]
         np.testing.assert_array_equal(poses.stamp_ns, each.stamp_ns)
-        np.testing.assert_allclose(poses.T_parent_child, each.T_head_cam, atol=1e-12)
+        np.testing.assert_allclose(poses.values, each.T_head_cam, atol=1e-12)
 
 
 def test_poses_are_exported_by_a_command(tmp_path, monkeypatch):

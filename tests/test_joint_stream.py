@@ -15,9 +15,9 @@ from vergence.data.reader import load_dataset
 from vergence.data.timing import JointStream, Timing, moved_readings
 from vergence.geometry.parameters import boxminus
 from vergence.recordings.import_recording import import_recording
-from vergence.recordings.interpolation import interpolate
+from vergence.recordings.readings import interpolate
 from vergence.recordings.recording_map import load_map
-from vergence.recordings.scan import JointTrack
+from vergence.recordings.scan import Track
 
 OFFSET_S = 0.045
 
@@ -55,7 +55,7 @@ def test_a_latency_of_45_ms_is_found_among_readings_at_97_hz_with_gaps(
     stamp_ns, at_ns = (np.round(each * 1e9).astype(np.int64) for each in (stream.time_s, t))
     readings = moving.eye_angles.copy()
     for k, values in enumerate(stream.readings.T):
-        readings[-len(t) :, k] = interpolate(JointTrack(stamp_ns, values), at_ns, max_gap_s=0.1)
+        readings[-len(t) :, k] = interpolate(Track(stamp_ns, values), at_ns, max_gap_s=0.1)
     assert moving.timing is not None
     timing = replace(moving.timing, stream=stream if with_stream else None)
     seen = replace(moving, eye_angles=readings, timing=timing)

@@ -15,12 +15,11 @@ from vergence.errors import VergenceError
 from vergence.findings import Finding
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.se3 import inverse, pose
-from vergence.recordings.interpolation import interpolate
 from vergence.recordings.moments import Moments, check_stamps, find_moments
-from vergence.recordings.pose_tracks import needed_frames
+from vergence.recordings.readings import interpolate, needed_frames
 from vergence.recordings.recording import Channel, FramePose, Message, Recording
 from vergence.recordings.recording_map import CameraSource, PoseSource, RecordingMap, describe
-from vergence.recordings.scan import ImageTrack, JointTrack, PoseTrack, Scan
+from vergence.recordings.scan import ImageTrack, Scan, Track
 
 START = 1_700_000_000_123_456_789
 JOINTS = "left_pan", "left_tilt", "right_pan", "right_tilt"
@@ -42,14 +41,14 @@ def scanned(
     at_ns: np.ndarray,
     angles: np.ndarray,
     *,
-    poses: Mapping[tuple[str, str], PoseTrack] | None = None,
+    poses: Mapping[tuple[str, str], Track] | None = None,
 ) -> Scan:
     """Return images at times and readings, all joints the same, at others [ns] after START."""
     tracks = {
         name: ImageTrack(START + at, START + at, np.zeros(len(at)), (32, 24))
         for name, at in images.items()
     }
-    track = JointTrack(START + at_ns, angles)
+    track = Track(START + at_ns, angles)
     joints = {("/joints", name): track for name in JOINTS}
     return Scan(tracks, joints, {}, poses or {})
 
@@ -74,7 +73,7 @@ def checked(found: Scan, **fields: Any) -> tuple[Finding, ...]:
 def test_linear_motion_is_interpolated_exactly_and_never_extrapolated(times, at, rate, seed):
     order = np.random.default_rng(seed).permutation(len(times))
     stamps, at_ns = np.array(times)[order], np.array(at)
-    track = JointTrack(START + stamps, 0.3 + rate * stamps * 1e-9)
+    track = Track(START + stamps, 0.3 + rate * stamps * 1e-9)
     found = interpolate(track, START + at_ns, max_gap_s=100.0)
     inside = (at_ns >= min(times)) & (at_ns <= max(times))
     np.testing.assert_array_equal(np.isfinite(found), inside)
@@ -82,10 +81,10 @@ def test_linear_motion_is_interpolated_exactly_and_never_extrapolated(times, at,
 
 
 def test_gaps_are_not_bridged_but_their_ends_are_known():
-    track = JointTrack(np.array([0, 100, 400, 450]) * MS, np.array([0.0, 1, 4, 4.5]))
+    track = Track(np.array([0, 100, 400, 450]) * MS, np.array([0.0, 1, 4, 4.5]))
     found = interpolate(track, np.array([50, 100, 200, 400, 425]) * MS, max_gap_s=0.1)
     np.testing.assert_allclose(found, [0.5, 1, np.nan, 4, 4.25])
-    assert np.isnan(interpolate(JointTrack(np.array([5]), np.ones(1)), np.array([5, 6]),
+    assert np.isnan(interpolate(Track(np.array([5]), np.ones(1)), np.array([5, 6]),
                                 max_gap_s=1)).any()  # fmt: skip
 
 
@@ -172,9 +171,9 @@ def test_poses_of_eyes_come_from_a_tree_of_frames():
     turn = 0.5 * STEADY * 1e-9
     T_mount_eye = pose(Rotation.from_rotvec(np.outer(turn, [0, 0, 1])).as_matrix())
     tracks = {
-        ("head", "base"): PoseTrack(np.array([7]), T_head_base[None]),
-        ("head", "mount"): PoseTrack(START + STEADY, np.tile(T_head_mount, (len(STEADY), 1, 1))),
-        ("mount", "eye"): PoseTrack(START + STEADY, T_mount_eye),
+        ("head", "base"): Track(np.array([7]), T_head_base[None]),
+        ("head", "mount"): Track(START + STEADY, np.tile(T_head_mount, (len(STEADY), 1, 1))),
+        ("mount", "eye"): Track(START + STEADY, T_mount_eye),
     }
     sources = {side: PoseSource(base="base", eye="eye") for side in EYES}
     images = {name: STEADY[:-1] + 30 * MS for name in ("/l", "/r")}
@@ -187,7 +186,7 @@ def test_poses_of_eyes_come_from_a_tree_of_frames():
     np.testing.assert_allclose(moments.T_base_eye[:, 1], expected, atol=1e-9)
 
     def read(*_):
-        sent = [(FramePose(*edge, track.T_parent_child[0]),) for edge, track in tracks.items()]
+        sent = [(FramePose(*edge, track.values[0]),) for edge, track in tracks.items()]
         return (Message("/tf", k, k, lambda each=each: each) for k, each in enumerate(sent))
 
     recording = Recording(Path("bag"), {"/tf": Channel("/tf", "poses", "", 3)}, read)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from vergence.geometry.camera import Camera, pinhole
-from vergence.recordings.ros_images import camera_lens, compressed_image, raw_image
+from vergence.recordings.ros import camera_lens, compressed_image, raw_image
 
 HEIGHT, WIDTH = 24, 30
 

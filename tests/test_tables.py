@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vergence.recordings.formats import open_recording
-from vergence.recordings.stamps import UNITS_NS, read_stamps
+from vergence.recordings.series import UNITS_NS, read_stamps
 from written_recordings import (
     IMAGE_NS,
     IMAGES,

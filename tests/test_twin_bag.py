@@ -16,7 +16,7 @@ from vergence.geometry.parameters import parameter_values
 from vergence.recordings.bag import Storage, write_bag
 from vergence.recordings.formats import open_recording
 from vergence.recordings.import_recording import import_recording
-from vergence.recordings.interpolation import interpolate
+from vergence.recordings.readings import interpolate
 from vergence.recordings.recording_map import CameraSource, FrameChoice, RecordingMap
 from vergence.recordings.scan import scan
 from vergence.twin.bag import BEGIN_NS, IMAGES, JOINTS, LENSES, BagSettings

@@ -150,7 +150,7 @@ def export_poses(
     from vergence.data.description import DESCRIPTION
     from vergence.recordings.camera_poses import dataset_poses, recording_poses, write_poses
     from vergence.recordings.formats import open_recording
-    from vergence.recordings.mapped_scan import on_the_clock, scan_mapped
+    from vergence.recordings.moments import scan_mapped
 
     if format == "tf" and out.exists():
         raise VergenceError(f"{out} already exists; name another bag, or remove it.")
@@ -161,8 +161,8 @@ def export_poses(
             poses = dataset_poses(vg.load_dataset(recording), head, progress=progress)
         else:
             mapped = _map_of(recording, map)
-            with open_recording(recording) as opened:
-                scanned = scan_mapped(on_the_clock(opened, mapped), mapped, progress=progress)
+            with open_recording(recording, stamps=mapped.stamps) as opened:
+                scanned = scan_mapped(opened, mapped, progress=progress)
             poses = recording_poses(*scanned, mapped, head, progress=progress)
     write_poses(poses, head, out, format)
     text = "; ".join(

@@ -36,9 +36,8 @@ from vergence.geometry.parameters import lens_vector, named_columns
 from vergence.geometry.projection import camera_pose
 from vergence.geometry.se3 import POSE, hat
 from vergence.progress import Progress, silent
-from vergence.recordings import pose_tracks
 from vergence.recordings.bag import message, write_bag
-from vergence.recordings.moments import readings_at
+from vergence.recordings.readings import postures
 from vergence.recordings.recording import FramePose
 from vergence.recordings.recording_map import RecordingMap
 from vergence.recordings.scan import Scan
@@ -100,17 +99,12 @@ def recording_poses(
     VergenceError if its cameras or readings are not those of the head.
     """
     _check(head, description, "the recording")
-    found, names = [], description.head_kinematics.readings
+    found = []
     for name, source in mapped.cameras.items():
         stamp_ns = scanned.images[source.images].stamp_ns
         at_ns = stamp_ns + round(head.time_offset_s * 1e9)
-        if mapped.poses:
-            joints = pose_tracks.eye_poses(
-                scanned.poses, mapped.poses, at_ns, max_gap_s=mapped.max_gap_s
-            )
-        else:
-            read = readings_at(scanned, mapped, description, at_ns)
-            joints = np.array([read[each] for each in names]).reshape(len(names), len(at_ns)).T
+        eye_angles, _, T_base_eye = postures(scanned, mapped, description, at_ns)
+        joints = eye_angles if T_base_eye is None else T_base_eye
         taken = np.full(len(at_ns), source.images), np.arange(len(at_ns)), stamp_ns
         found.append(_poses(head, name, taken, joints, progress))
     return found

@@ -10,9 +10,12 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pyarrow
+from pyarrow import csv
 
 from vergence.arrays import Array
 from vergence.data.dataset import LEAST_MOVING, MAX_GAP_S, Frame
+from vergence.data.description import STREAM, TIME, Description
 from vergence.data.images import to_8_bits
 from vergence.data.writer import DatasetRow, write_dataset
 from vergence.errors import VergenceError, counted
@@ -23,14 +26,23 @@ from vergence.progress import Progress, silent
 from vergence.recordings.board_placements import number_placements
 from vergence.recordings.formats import open_recording
 from vergence.recordings.frame_choice import ChosenFrames, choose_frames
-from vergence.recordings.joint_streams import write_stream
-from vergence.recordings.mapped_scan import on_the_clock, read_images, scan_mapped
-from vergence.recordings.moments import Moments, check_stamps, find_moments
+from vergence.recordings.moments import (
+    Moments,
+    check_stamps,
+    find_moments,
+    read_images,
+    scan_mapped,
+)
+from vergence.recordings.readings import interpolate, joint_track
 from vergence.recordings.recording_map import RecordingMap
+from vergence.recordings.scan import Scan
 from vergence.vision.board_detection import detect_board
 
+AROUND_NS = 10**9
+"""Time before and after a moving frame [ns]: the window of its polynomial, and usual latencies."""
+APART_NS = 1000
+"""Least time between rows [ns]; seconds since 1970 as floats are exact to 240 ns."""
 _ImagesOf = Callable[[np.ndarray], Iterator[dict[str, np.ndarray]]]
-_TASK = "finding the board"
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,58 +66,54 @@ def import_recording(
     does not have what the map names, or shows no board.
     """
     check_new(Path(out))
-    with open_recording(path) as opened:
-        recording = on_the_clock(opened, mapped)
+    with open_recording(path, stamps=mapped.stamps) as recording:
         scanned, description = scan_mapped(recording, mapped, progress=progress)
         findings = check_stamps(scanned, mapped, description)
         moments = find_moments(scanned, mapped, description)
         findings += _without_readings(moments, mapped)
-        channels = {name: source.images for name, source in mapped.cameras.items()}
-        again = partial(read_images, recording, scanned.images, channels, moments)
-        found = mapped.frames.moving is None and description.board is None
-        chosen = _all_frames(moments) if found else choose_frames(moments, mapped.frames)
-        placement = None
-        if description.board is not None:
-            corners = _corners(description.board, channels, again, chosen.rows, progress)
+        images_of = partial(read_images, recording, scanned, mapped, moments)
+        board = description.board
+        if board is None and mapped.frames.moving is None:  # all of them
+            known = np.flatnonzero(moments.known)
+            chosen = ChosenFrames(known, np.ones(len(known), bool))
+        else:
+            chosen = choose_frames(moments, mapped.frames)
+        number = np.zeros(len(chosen.rows), int)
+        if board is not None:
+            corners = _corners(board, mapped.cameras, images_of, chosen.rows, progress)
             if not any(np.isfinite(uv).any() for uv in corners.values()):
-                board = description.board
                 raise VergenceError(
                     f"None of {counted(len(chosen.rows), 'frame')} of {path} shows a "
                     f"{described(board)}, as the map describes it."
                 )
-            placement = number_placements(description, moments, chosen, corners, mapped.frames)
-            kept = np.flatnonzero(placement >= 0)
-            kept = kept[_long_enough(moments.time_ns[chosen.rows[kept]], chosen.moving[kept])]
-            chosen = ChosenFrames(chosen.rows[kept], chosen.moving[kept])
-            placement = placement[kept]
+            number = number_placements(description, moments, chosen, corners, mapped.frames)
+        kept = np.flatnonzero(number >= 0)
+        rows, moving, placement = chosen.rows[kept], chosen.moving[kept], number[kept]
+        few = _too_few(moments.time_ns[rows], moving)
+        if board is None:
+            moving &= ~few  # they serve as frames at rest
+        else:
+            rows, moving, placement = rows[~few], moving[~few], placement[~few]
 
-        def rows() -> Iterator[DatasetRow]:
-            for k, images in enumerate(again(chosen.rows)):
-                row = chosen.rows[k]
-                time_s = int(moments.time_ns[row]) * 1e-9
-                frame = Frame(
-                    time_s=time_s,
-                    joint_time_s=time_s,
-                    eye_angles=moments.eye_angles[row],
-                    neck_angles=moments.neck_angles[row],
-                    images=images,
-                )
+        def frames() -> Iterator[DatasetRow]:
+            for k, images in enumerate(images_of(rows)):
+                time_s = int(moments.time_ns[rows[k]]) * 1e-9
+                angles = moments.eye_angles[rows[k]], moments.neck_angles[rows[k]]
                 yield DatasetRow(
-                    frame,
-                    placement=None if placement is None else int(placement[k]),
-                    moving=bool(chosen.moving[k]),
-                    T_base_eye=None if moments.T_base_eye is None else moments.T_base_eye[row],
+                    Frame(time_s, time_s, *angles, images),
+                    placement=None if board is None else int(placement[k]),
+                    moving=bool(moving[k]),
+                    T_base_eye=None if moments.T_base_eye is None else moments.T_base_eye[rows[k]],
                 )
-                progress("writing the dataset", k + 1, len(chosen.rows))
+                progress("writing the dataset", k + 1, len(rows))
 
         def beside(folder: Path) -> None:
-            moving_ns = moments.time_ns[chosen.rows[chosen.moving]]
-            if len(moving_ns) > 1 and not mapped.poses and mapped.max_gap_s <= MAX_GAP_S:
-                write_stream(folder, scanned, description, moving_ns)
+            if moving.sum() > 1 and not mapped.poses and mapped.max_gap_s <= MAX_GAP_S:
+                _write_stream(folder, scanned, description, moments.time_ns[rows[moving]])
 
-        write_dataset(out, description, rows(), beside=beside)
-    places = 0 if placement is None else len(np.unique(placement))
-    return ImportedRecording(len(chosen.rows), int(chosen.moving.sum()), places, findings)
+        write_dataset(out, description, frames(), beside=beside)
+    places = 0 if board is None else len(np.unique(placement))
+    return ImportedRecording(len(rows), int(moving.sum()), places, findings)
 
 
 def _without_readings(moments: Moments, mapped: RecordingMap) -> tuple[Finding, ...]:
@@ -119,32 +127,24 @@ def _without_readings(moments: Moments, mapped: RecordingMap) -> tuple[Finding, 
     return () if moments.known.all() else (note("no-readings", f"{sentence}; they were left out."),)
 
 
-def _all_frames(moments: Moments) -> ChosenFrames:
-    """Choose all moments with readings, in motion where enough of them follow each other."""
-    rows = np.flatnonzero(moments.known)
-    return ChosenFrames(rows, _long_enough(moments.time_ns[rows], np.ones(len(rows), bool)))
-
-
-def _long_enough(time_ns: np.ndarray, moving: np.ndarray) -> np.ndarray:
-    """Select the moments (F,) at rest, and those of motions of LEAST_MOVING moments or more."""
+def _too_few(time_ns: np.ndarray, moving: np.ndarray) -> np.ndarray:
+    """Find the moments (F,) of motions with fewer than LEAST_MOVING moments in sequence."""
     late = np.diff(time_ns, prepend=time_ns[:1]) > MAX_GAP_S * 1e9
     run = np.cumsum(late | np.diff(moving, prepend=moving[:1]))
-    return ~moving | (np.bincount(run)[run] >= LEAST_MOVING)
+    return moving & (np.bincount(run)[run] < LEAST_MOVING)
 
 
 def _corners(
     board: Board, cameras: Iterable[str], images_of: _ImagesOf, rows: np.ndarray, progress: Progress
 ) -> dict[str, Array]:
     """Find the board in the images of chosen frames: by camera (F, K, 2), NaN where not seen."""
-    shape = len(rows), board.columns * board.rows, 2
-    found = {name: np.full(shape, np.nan) for name in cameras}
-    progress(_TASK, 0, len(rows))
+    found = {name: np.full((len(rows), board.columns * board.rows, 2), np.nan) for name in cameras}
     with ThreadPoolExecutor() as pool:
         for k, images in enumerate(images_of(rows)):
             corners = pool.map(partial(_detect, board), images.values())
             for name, seen in zip(images, corners, strict=True):
                 found[name][k] = np.nan if seen is None else seen
-            progress(_TASK, k + 1, len(rows))
+            progress("finding the board", k + 1, len(rows))
     return found
 
 
@@ -153,3 +153,25 @@ def _detect(board: Board, image: np.ndarray) -> Array | None:
         return detect_board(to_8_bits(image), board)
     except cv2.error:  # images of a few pixels, for example
         return None
+
+
+def _write_stream(
+    folder: Path, scanned: Scan, description: Description, moving_ns: np.ndarray
+) -> None:
+    """Write joints.csv of a dataset, around two or more moving frames (M,) [ns], increasing.
+
+    A row is a time at which a joint was read; readings of the others are interpolated.
+    """
+    columns = [description.sources[n].column for n in description.head_kinematics.readings]
+    tracks = [joint_track(scanned, column) for column in columns]
+    stamp_ns = np.unique(np.concatenate([track.stamp_ns for track in tracks]))
+    stamp_ns = stamp_ns[np.diff(stamp_ns, prepend=stamp_ns[0] - APART_NS) >= APART_NS]
+    begin, end = (np.searchsorted(moving_ns, stamp_ns + d) for d in (-AROUND_NS, AROUND_NS))
+    stamp_ns = stamp_ns[end > begin]
+    if len(stamp_ns) < 2 or np.median(np.diff(stamp_ns)) >= np.median(np.diff(moving_ns)):
+        return  # the frames have all of them
+    read = [interpolate(track, stamp_ns, max_gap_s=MAX_GAP_S) for track in tracks]
+    table = np.column_stack([stamp_ns * 1e-9, *read])
+    known = np.isfinite(table).all(axis=1)
+    file = folder / STREAM
+    csv.write_csv(pyarrow.table([*table[known].T], [TIME, *columns]), file)

@@ -20,8 +20,7 @@ from vergence.errors import VergenceError, counted, explain
 from vergence.files import parse_json, read_parsed
 from vergence.recordings import series
 from vergence.recordings.recording import Content, Recording
-from vergence.recordings.series import Series
-from vergence.recordings.stamps import nanoseconds
+from vergence.recordings.series import Series, nanoseconds
 from vergence.recordings.video import open_video
 
 MAX_BYTES = 2**29

@@ -1,21 +1,22 @@
-"""The moments of a recording at which cameras took images, with the joint readings then."""
+"""What a map needs of a recording: the moments at which cameras took images, and those images."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.description import Description
-from vergence.errors import VergenceError
+from vergence.errors import VergenceError, explain
 from vergence.findings import Finding, warning
-from vergence.recordings.interpolation import interpolate
-from vergence.recordings.pose_tracks import eye_poses
-from vergence.recordings.recording_map import RecordingMap
-from vergence.recordings.scan import JointTrack, Scan
+from vergence.progress import Progress, silent
+from vergence.recordings.readings import joint_track, needed_frames, postures
+from vergence.recordings.recording import Recording
+from vergence.recordings.recording_map import RecordingMap, describe
+from vergence.recordings.scan import Scan, scan
 
 SYNC_S = 1e-3
 """Images of several cameras are of one moment if their stamps differ by at most this [s]; eyes that
@@ -28,6 +29,10 @@ WINDOW_NS = 200_000_000
 so that a reading of an eye at rest is of the same posture as the image."""
 JITTER = 1.1
 """Factor on periods for stamps that vary, as those of USB cameras do."""
+
+JOINED_NS = 10**9
+"""Images received within this time [ns] are read in one go: to seek takes as long as to read on for
+some tenths of a second."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +73,37 @@ class Moments:
         return len(self.time_ns)
 
 
+def scan_mapped(
+    recording: Recording, mapped: RecordingMap, *, progress: Progress = silent
+) -> tuple[Scan, Description]:
+    """Scan what a map needs of a recording, and describe the dataset of it.
+
+    VergenceError if the recording is damaged, or does not have what the map names.
+    """
+    sources = mapped.cameras.values()
+    needed = [(each.images, "images") for each in sources]
+    needed += [(each.lens, "lens") for each in sources if each.lens]
+    for name, kind in needed:
+        channel = recording.channels.get(name)
+        if channel is None or channel.kind != kind or not channel.count:
+            has = ", ".join(n for n, each in recording.channels.items() if each.kind == kind)
+            raise VergenceError(
+                f"{recording.path} has no {kind} in a channel {name}, which the map names; "
+                f"channels of that kind are {has or 'missing'}."
+            )
+    channels = [name for name, _ in needed]
+    kinds = ("joints", "poses") if mapped.poses else ("joints",)
+    channels += [name for name, each in recording.channels.items() if each.kind in kinds]
+    columns = {joint.column for joint in mapped.joints.values()} | set(mapped.readings)
+    frames = needed_frames(recording, mapped.poses) if mapped.poses else ()
+    scanned = scan(recording, channels, columns=columns, frames=frames, progress=progress)
+    sizes = {name: track.size for name, track in scanned.images.items()}
+    try:
+        return scanned, describe(mapped, sizes, scanned.lenses)
+    except ValueError as error:
+        raise VergenceError(f"The map describes no head: {explain(error)}.") from None
+
+
 def find_moments(scanned: Scan, mapped: RecordingMap, description: Description) -> Moments:
     """Group images of all cameras by their stamps, and interpolate the readings.
 
@@ -83,10 +119,10 @@ def find_moments(scanned: Scan, mapped: RecordingMap, description: Description) 
         rows, first = np.unique(row, return_index=True)
         images[name] = np.full(len(time_ns), -1)
         images[name][rows] = first
-    eye_angles, neck_angles, T_base_eye = _postures(scanned, mapped, description, time_ns)
+    eye_angles, neck_angles, T_base_eye = postures(scanned, mapped, description, time_ns)
     posture = _elements(eye_angles, neck_angles, T_base_eye)
     around = np.stack([
-        _elements(*_postures(scanned, mapped, description, time_ns + round(part * WINDOW_NS)))
+        _elements(*postures(scanned, mapped, description, time_ns + round(part * WINDOW_NS)))
         for part in (-1.0, -0.5, 0.5, 1.0)
     ])  # fmt: skip
     steps = [np.diff(np.unique(track.stamp_ns)) for track in tracks.values()]
@@ -106,21 +142,6 @@ def find_moments(scanned: Scan, mapped: RecordingMap, description: Description) 
         T_base_eye=None if T_base_eye is None else T_base_eye[kept],
         around=around[:, kept],
     )
-
-
-def _postures(
-    scanned: Scan, mapped: RecordingMap, description: Description, at_ns: np.ndarray
-) -> tuple[Array, Array, Array | None]:
-    """Interpolate the readings of eyes (N, r) and neck (N, n), and measured poses, at N times."""
-    angles, zero = readings_at(scanned, mapped, description, at_ns), np.zeros(len(at_ns))
-    readings = description.head_kinematics.readings
-    eye_angles = np.stack([angles.get(name, zero) for name in readings], axis=-1)
-    neck = [angles[name] for name in description.neck_joints]
-    neck_angles = np.array(neck).reshape(-1, len(at_ns)).T
-    if not mapped.poses:
-        return eye_angles, neck_angles, None
-    T_base_eye = eye_poses(scanned.poses, mapped.poses, at_ns, max_gap_s=mapped.max_gap_s)
-    return np.full_like(eye_angles, np.nan), neck_angles, T_base_eye
 
 
 def _elements(eye_angles: Array, neck_angles: Array, T_base_eye: Array | None) -> Array:
@@ -186,31 +207,40 @@ def _join_at_rest(
     return kept
 
 
-def readings_at(
-    scanned: Scan, mapped: RecordingMap, description: Description, at_ns: np.ndarray
-) -> dict[str, Array]:
-    """Interpolate the readings by name (N,) [rad] at times (N,) [ns]; NaN where not known."""
-    angles = {}
-    for name, joint in description.sources.items():
-        track = joint_track(scanned, joint.column)
-        values = interpolate(track, at_ns, max_gap_s=mapped.max_gap_s) * joint.sign
-        angles[name] = np.radians(values) if joint.unit == "deg" else values
-    return angles
+def read_images(
+    recording: Recording,
+    scanned: Scan,
+    mapped: RecordingMap,
+    moments: Moments,
+    rows: np.ndarray,
+) -> Iterator[dict[str, np.ndarray]]:
+    """Yield the images by camera of moments (F,), in their order.
 
-
-def joint_track(scanned: Scan, column: str) -> JointTrack:
-    """Find the joint that a column names, as `name` or `channel:name`.
-
-    VergenceError unless there is exactly one.
+    VergenceError if an image is damaged.
     """
-    found = {
-        f"{channel}:{name}": track
-        for (channel, name), track in scanned.joints.items()
-        if column in (name, f"{channel}:{name}")
-    }
-    if len(found) != 1:
-        raise VergenceError(
-            f"The map names a joint {column!r}; the recording has {', '.join(found) or 'none'} of "
-            "that name."
-        )
-    return next(iter(found.values()))
+    channels = {name: source.images for name, source in mapped.cameras.items()}
+    wanted: dict[tuple[str, int, int], tuple[int, str]] = {}
+    missing = [0] * len(rows)
+    for camera, channel in channels.items():
+        images, track = moments.images[camera][rows], scanned.images[channel]
+        for k in np.flatnonzero(images >= 0).tolist():
+            stamp_ns, received_ns = track.stamp_ns[images[k]], track.received_ns[images[k]]
+            wanted[channel, int(received_ns), int(stamp_ns)] = k, camera
+            missing[k] += 1
+    waiting: list[dict[str, np.ndarray]] = [{} for _ in rows]  # until their turn
+    turn = 0
+    received = np.unique([received_ns for _, received_ns, _ in wanted])
+    for span in np.split(received, np.flatnonzero(np.diff(received) > JOINED_NS) + 1):
+        for each in recording.read({*channels.values()}, int(span[0]), int(span[-1]) + 1):
+            # Of repeated messages the first counts.
+            k, camera = wanted.pop((each.channel, each.received_ns, each.stamp_ns), (-1, ""))
+            if k < 0:
+                continue
+            content = each.decode()
+            assert isinstance(content, np.ndarray)
+            waiting[k][camera] = content
+            while turn < len(rows) and len(waiting[turn]) == missing[turn]:
+                yield waiting[turn]
+                waiting[turn], turn = {}, turn + 1
+    if turn < len(rows):
+        raise VergenceError(f"{recording.path} has changed while it was read.")

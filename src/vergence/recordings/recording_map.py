@@ -39,6 +39,8 @@ MAX_MAP_BYTES = 2**18
 """Largest map [bytes]; one of 64 cameras has 20 kB."""
 Span = tuple[float, float]
 """Begin and end [s] after the first image of the recording."""
+Stamps = Literal["header", "received"]
+"""Which times count: those in the messages, or those of the recorder."""
 
 
 @dataclass(frozen=True, eq=False, config=_STRICT)
@@ -90,8 +92,7 @@ class RecordingMap:
     poses: dict[Side, PoseSource] = field(default_factory=dict)
     """Measured poses of the eyes, in place of joints."""
     frames: FrameChoice = field(default_factory=FrameChoice)
-    stamps: Literal["header", "received"] = "header"
-    """Which times count: those in the messages, or those of the recorder."""
+    stamps: Stamps = "header"
     max_gap_s: Annotated[float, Field(gt=0, le=10)] = MAX_GAP_S
     """Longest time between two readings between which one is interpolated [s]."""
     note: str = ""

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from array import array
-from collections import deque
-from collections.abc import Collection, Mapping
+from collections import defaultdict, deque
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import cast
 
 import cv2
@@ -46,23 +47,13 @@ class ImageTrack:
 
 
 @dataclass(frozen=True, eq=False)
-class JointTrack:
-    """Readings of one joint."""
+class Track:
+    """Readings of one joint, or poses of one frame in its parent."""
 
     stamp_ns: np.ndarray
     """(S,) of int, in the order of the recording."""
     values: Array
-    """(S,) in the unit of the recording."""
-
-
-@dataclass(frozen=True, eq=False)
-class PoseTrack:
-    """Poses of one frame in its parent."""
-
-    stamp_ns: np.ndarray
-    """(S,) of int."""
-    T_parent_child: Array
-    """(S, 4, 4) [m]."""
+    """(S,) in the unit of the recording, or T_parent_child (S, 4, 4) [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,11 +62,11 @@ class Scan:
 
     images: Mapping[str, ImageTrack]
     """By channel."""
-    joints: Mapping[tuple[str, str], JointTrack]
+    joints: Mapping[tuple[str, str], Track]
     """By channel and name of the joint."""
     lenses: Mapping[str, Camera]
     """By channel: the last one."""
-    poses: Mapping[tuple[str, str], PoseTrack]
+    poses: Mapping[tuple[str, str], Track]
     """By parent and child."""
     errors: Mapping[str, str] = field(default_factory=dict)
     """By channel why its messages cannot be used."""
@@ -100,12 +91,12 @@ def scan(
         if channel.kind != "other" and (channels is None or name in channels)
     }
     total = sum(channel.count for channel in wanted.values())
-    images: dict[str, list[tuple[int, int, float]]] = {}
+    images = defaultdict[str, list[tuple[int, int, float]]](list)
     sizes: dict[str, tuple[int, int]] = {}
-    before: dict[str, deque[tuple[int, np.ndarray]]] = {}
-    joints: dict[tuple[str, str], tuple[array[int], array[float]]] = {}
+    before = defaultdict[str, deque[tuple[int, np.ndarray]]](partial(deque, maxlen=MOST_EARLIER))
+    joints = defaultdict[tuple[str, str], _Values](_Values)
+    poses = defaultdict[tuple[str, str], _Values](_Values)
     lenses: dict[str, Camera] = {}
-    poses: dict[tuple[str, str], list[tuple[int, Array]]] = {}
     errors: dict[str, str] = {}
     progress("reading the recording", 0, total)
     for done, message in enumerate(recording.read(list(wanted), None, None), 1):
@@ -119,31 +110,24 @@ def scan(
         if isinstance(content, JointSample):
             for name, value in zip(content.names, content.values.tolist(), strict=True):
                 if columns is None or name in columns or f"{message.channel}:{name}" in columns:
-                    key = message.channel, name
-                    stamps, values = joints.setdefault(key, (array("q"), array("d")))
-                    stamps.append(stamp)
-                    values.append(value)
+                    joints[message.channel, name].append(stamp, [value])
         elif isinstance(content, Camera):
             lenses[message.channel] = content
         elif isinstance(content, np.ndarray):
-            small = _thumbnail(content)
-            earlier = before.setdefault(message.channel, deque())
+            small, earlier = _thumbnail(content), before[message.channel]
             while len(earlier) > 1 and earlier[1][0] <= message.received_ns - LAG_NS:
                 earlier.popleft()
-            last = earlier[0][1] if earlier else None
             change = np.nan
-            if last is not None and last.shape == small.shape:
-                change = content.shape[1] / small.shape[1] * _apparent_motion(last, small)
+            if earlier and earlier[0][1].shape == small.shape:
+                scale = content.shape[1] / small.shape[1]
+                change = scale * _apparent_motion(earlier[0][1], small)
             earlier.append((message.received_ns, small))
-            if len(earlier) > MOST_EARLIER:
-                earlier.popleft()
             sizes[message.channel] = content.shape[1], content.shape[0]
-            images.setdefault(message.channel, []).append((stamp, message.received_ns, change))
+            images[message.channel].append((stamp, message.received_ns, change))
         else:
             for each in cast(tuple[FramePose, ...], content):
-                key = each.parent, each.child
-                if frames is None or key in frames:
-                    poses.setdefault(key, []).append((stamp, each.T_parent_child))
+                if frames is None or (each.parent, each.child) in frames:
+                    poses[each.parent, each.child].append(stamp, each.T_parent_child.ravel())
         if done % 20 == 0 or done == total:
             progress("reading the recording", done, total)
     return Scan(
@@ -151,17 +135,25 @@ def scan(
             name: ImageTrack(*map(np.array, zip(*rows, strict=True)), size=sizes[name])
             for name, rows in images.items()
         },
-        joints={
-            name: JointTrack(np.array(stamps), np.array(values))
-            for name, (stamps, values) in joints.items()
-        },
+        joints={name: each.track(-1) for name, each in joints.items()},
         lenses=lenses,
-        poses={
-            name: PoseTrack(np.array([t for t, _ in rows]), np.array([T for _, T in rows]))
-            for name, rows in poses.items()
-        },
+        poses={name: each.track(-1, 4, 4) for name, each in poses.items()},
         errors=errors,
     )
+
+
+class _Values:
+    """Values of a track as they are read, without a Python object for each."""
+
+    def __init__(self) -> None:
+        self.stamp_ns, self.values = array("q"), array("d")
+
+    def append(self, stamp_ns: int, values: Iterable[float]) -> None:
+        self.stamp_ns.append(stamp_ns)
+        self.values.extend(values)
+
+    def track(self, *shape: int) -> Track:
+        return Track(np.array(self.stamp_ns), np.array(self.values).reshape(shape))
 
 
 def _thumbnail(image: np.ndarray) -> np.ndarray:

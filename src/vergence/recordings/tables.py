@@ -24,8 +24,7 @@ from vergence.errors import VergenceError, explain
 from vergence.files import read_bytes
 from vergence.recordings import series
 from vergence.recordings.recording import Recording
-from vergence.recordings.series import Series
-from vergence.recordings.stamps import read_stamps
+from vergence.recordings.series import Series, read_stamps
 from vergence.recordings.video import VIDEO_SUFFIXES, open_video
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".ppm", ".pgm", ".bmp", ".tif", ".tiff", ".webp")

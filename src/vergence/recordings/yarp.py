@@ -18,8 +18,7 @@ from vergence.errors import VergenceError
 from vergence.files import read_bytes
 from vergence.recordings import series
 from vergence.recordings.recording import Content, Recording
-from vergence.recordings.series import Series
-from vergence.recordings.stamps import nanoseconds
+from vergence.recordings.series import Series, nanoseconds
 from vergence.recordings.video import open_video
 
 DATA, INFO = "data.log", "info.log"
