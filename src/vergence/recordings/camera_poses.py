@@ -75,13 +75,12 @@ def dataset_poses(
     VergenceError if its cameras or readings are not those of the head.
     """
     _check(head, dataset.description, str(dataset.folder))
-    joints, stamp_ns = readings_at_images(dataset, head), np.round(dataset.time_s * 1e9)
-    beyond = _beyond_readings(dataset, offset_of(dataset, head))
-    joints = np.where(beyond.reshape(-1, *[1] * (joints.ndim - 1)), np.nan, joints)
-    found = []
+    joints = readings_at_images(dataset, head).copy()
+    joints[_beyond_readings(dataset, offset_of(dataset, head))] = np.nan
+    stamp_ns, found = np.round(dataset.time_s * 1e9).astype(np.int64), []
     for name, files in dataset.files.items():
-        rows = np.array([k for k, file in enumerate(files) if file is not None], dtype=np.intp)
-        taken = np.array(files)[rows], rows, stamp_ns.astype(np.int64)[rows]
+        rows = np.flatnonzero([file is not None for file in files])
+        taken = np.array(files)[rows], rows, stamp_ns[rows]
         found.append(_poses(head, name, taken, joints[rows], progress))
     return found
 
@@ -135,10 +134,7 @@ def _poses(
     joints: Array,
     progress: Progress,
 ) -> CameraPoses:
-    """Compute the poses of a camera in M images: file, index and stamp (M,) of each.
-
-    At readings (M, r), or poses (M, 2, 4, 4) of the eyes; NaN where not known.
-    """
+    """Compute the poses of a camera in images `taken`; NaN stands for readings not known."""
     mounted = head.camera(camera)
     known = np.isfinite(joints).all(axis=tuple(range(1, joints.ndim)))
     joints = joints[known]
@@ -190,9 +186,8 @@ def write_poses(
         messages.sort(key=lambda each: each.stamp_ns)
         write_bag(path, messages, storage="ros1" if path.suffix == ".bag" else "mcap")
         return
-    table = pyarrow.concat_tables(
-        [pose_table(each, head) for each in poses], promote_options="default"
-    )
+    tables = [pose_table(each, head) for each in poses]
+    table = pyarrow.concat_tables(tables, promote_options="default")
     with whole_file(path) as part:
         (csv.write_csv if format == "csv" else parquet.write_table)(table, part)
 
@@ -204,18 +199,21 @@ def pose_table(poses: CameraPoses, head: HeadCalibration) -> pyarrow.Table:
     """
     lens, N = head.cameras[poses.camera].intrinsics, len(poses.index)
     turns = Rotation.from_matrix(poses.T_head_cam[:, :3, :3]).as_quat(canonical=True)
-    readings = [] if measured(poses.readings) else [f"{r}_rad" for r in head.kinematics.readings]
-    of_images = [np.full(N, poses.camera), poses.image.astype(str), poses.index, poses.stamp_ns]
-    of_images += [*poses.T_head_cam[:, :3, 3].T, *turns.T, *poses.std.T]
-    of_images += [*poses.readings.T] if readings else []
-    names = ["camera", "image", "index", "stamp_ns", "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw"]
-    names += ["angle_std_rad", "position_std_m", *readings]
-    of_camera = [lens.width, lens.height, lens.model, lens.matrix[0, 1]]
-    of_camera += lens_vector(lens).tolist()
-    constant = ["width", "height", "lens", "skew", *intrinsics_names(lens)]
     columns = {
-        name: pyarrow.array(column, from_pandas=True)  # NaN is null
-        for name, column in zip(names, of_images, strict=True)
+        "camera": np.full(N, poses.camera),
+        "image": poses.image.astype(str),
+        "index": poses.index,
+        "stamp_ns": poses.stamp_ns,
     }
-    columns |= {name: [value] * N for name, value in zip(constant, of_camera, strict=True)}
-    return pyarrow.table(columns)
+    columns |= zip(("x_m", "y_m", "z_m"), poses.T_head_cam[:, :3, 3].T, strict=True)
+    columns |= zip(("qx", "qy", "qz", "qw"), turns.T, strict=True)
+    columns |= zip(("angle_std_rad", "position_std_m"), poses.std.T, strict=True)
+    if not measured(poses.readings):
+        names = [f"{name}_rad" for name in head.kinematics.readings]
+        columns |= zip(names, poses.readings.T, strict=True)
+    of_camera = {"width": lens.width, "height": lens.height, "lens": lens.model}
+    of_camera |= {"skew": lens.matrix[0, 1]}
+    of_camera |= zip(intrinsics_names(lens), lens_vector(lens), strict=True)
+    columns |= {name: np.full(N, value) for name, value in of_camera.items()}
+    # NaN is null.
+    return pyarrow.table({n: pyarrow.array(each, from_pandas=True) for n, each in columns.items()})

@@ -48,20 +48,16 @@ _ICUB = "neck_pitch", "neck_roll", "neck_yaw", "eyes_tilt", "eyes_version", "eye
 
 @dataclass(frozen=True)
 class _Joint:
-    column: str
-    """Its name or, where several channels have it, channel:name."""
-    words: frozenset[str]
-    unit: str
-    reason: str
-    """Why it has that unit."""
+    column: str = UNKNOWN
+    words: frozenset[str] = frozenset()
+    unit: str = "rad"
+    reason: str = "guess"
 
 
 def first_map(recording: Recording, scanned: Scan) -> str:
     """Guess the map of a scanned recording, as the text of a TOML file."""
     cameras, joints = _cameras(scanned), _joints(scanned)
-    lines = [
-        f"# A first map. Correct the guesses that are wrong, and fill in each {_text(UNKNOWN)}."
-    ]
+    lines = ['# A first map. Correct the guesses that are wrong, and fill in each "?".']
     for name, (channel, reason) in cameras.items():
         lines += [f"\n[cameras.{name}]", f"images = {_text(channel)}"]
         lines += [f'eye = "{name.partition("_")[0]}"  # {reason}; left as the robot\'s own']
@@ -74,7 +70,6 @@ def first_map(recording: Recording, scanned: Scan) -> str:
 
 
 def _text(text: str) -> str:
-    """Format a string for TOML."""
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
@@ -136,12 +131,9 @@ def _board_lines(images: Sequence[np.ndarray]) -> Iterator[str]:
 
 def _joints(scanned: Scan) -> list[_Joint]:
     """Describe the joints; two channels may have joints of one name."""
-    count = Counter(name for _, name in scanned.joints)
-    channels: dict[str, list[str]] = {}
-    for channel, name in scanned.joints:
-        channels.setdefault(channel, []).append(name)
-    found = []
-    for channel, names in channels.items():
+    count, found = Counter(name for _, name in scanned.joints), []
+    for channel in dict.fromkeys(channel for channel, _ in scanned.joints):
+        names = [name for owner, name in scanned.joints if owner == channel]
         yarp = names[0].startswith(f"{channel}/")  # numbers of its vectors
         icub = yarp and "neck" in _read_name(channel) and len(names) == len(_ICUB)
         words = [_read_name(name) for name in (_ICUB if icub else names)]
@@ -168,7 +160,7 @@ def _joint_lines(joints: Sequence[_Joint], eyes: Sequence[str]) -> Iterator[str]
     version = [each for each in usable if each.words & {"version", "vergence"}]
     if len(version) == 2:
         version.sort(key=lambda each: "vergence" in each.words)
-        version.append(found["left_tilt"][0] or _Joint(UNKNOWN, frozenset(), "rad", "guess"))
+        version.append(found["left_tilt"][0])
         yield from _version_lines(*version)
         found = {}
     yield "\n[joints]  # pan is positive to the left, tilt down; calibrate names wrong signs"
@@ -178,31 +170,28 @@ def _joint_lines(joints: Sequence[_Joint], eyes: Sequence[str]) -> Iterator[str]
             name = re.sub(r"\W", "_", each.column, flags=re.ASCII)[:50]
             name = name if re.match("neck|head", name) else f"neck_{name}"
             found[name] = each, "guess: a joint of the neck"
-    for name, (each, reason) in found.items():
-        joint = each or _Joint(UNKNOWN, frozenset(), "rad", "guess")
+    for name, (joint, reason) in found.items():
         source = f'column = {_text(joint.column)}, unit = "{joint.unit}", sign = 1'
         yield f"{name} = {{ {source} }}  # {reason}; {joint.reason}; guess: sign"
 
 
-def _turning(joints: Sequence[_Joint], eye: str, motion: str) -> tuple[_Joint | None, str]:
-    """Find the joint that turns an eye, and say how sure it is."""
+def _turning(joints: Sequence[_Joint], eye: str, motion: str) -> tuple[_Joint, str]:
     own = [each for each in joints if motion in each.words]
     mine = [each for each in own if eye in each.words]
     shared = [each for each in own if not each.words & set(EYES)]
     shared.sort(key=lambda each: ("neck" in each.words, "eye" not in each.words))
     if mine:
         return mine[0], f"{'sure' if 'eye' in mine[0].words else 'guess'}: by its name"
-    return (shared[0], "guess: both eyes share it") if shared else (None, "no name tells it")
+    return (shared[0], "guess: both eyes share it") if shared else (_Joint(), "no name tells it")
 
 
 def _version_lines(version: _Joint, vergence: _Joint, tilt: _Joint) -> Iterator[str]:
     """Describe eyes whose common tilt carries their pans, as the iCub's."""
     yield "\n[kinematics]  # guess: the tilt carries the pans; left pan = version - vergence / 2"
     for eye, half in zip(EYES, (-0.5, 0.5), strict=True):
-        turns = {"tilt": {tilt.column: 1}, "pan": {version.column: 1, vergence.column: half}}
+        pan = f"{_text(version.column)} = 1, {_text(vergence.column)} = {half}"
         yield f"{eye} = ["
-        for name, readings in turns.items():
-            factors = ", ".join(f"{_text(column)} = {each}" for column, each in readings.items())
+        for name, factors in ("tilt", f"{_text(tilt.column)} = 1"), ("pan", pan):
             yield f'    {{ name = "{name}", axis = "{name}", readings = {{ {factors} }} }},'
         yield "]"
     yield "\n[readings]  # calibrate names wrong signs"

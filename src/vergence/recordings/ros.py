@@ -139,8 +139,11 @@ def _bound_decompression(stack: ExitStack) -> None:
         return content
 
     zstd = vars(mcap_library)["zstd"]  # a module of Python or a package, by the version of Python
-    decompressors = {"bz2": BZ2Decompressor, "lz4": LZ4FrameDecompressor}
-    decompressors["zstd"] = zstd.ZstdDecompressor
+    decompressors = {
+        "bz2": BZ2Decompressor,
+        "lz4": LZ4FrameDecompressor,
+        "zstd": zstd.ZstdDecompressor,
+    }
     tables: list[dict[str, Any]] = [ros1_library.decompressors, mcap_library.DECOMPRESSORS]
     for table in tables:
         stack.callback(table.update, dict(table))
@@ -215,9 +218,7 @@ def _poses(transforms: list[Any]) -> tuple[FramePose, ...]:
     for each in transforms:
         t, q = each.transform.translation, each.transform.rotation
         if not abs(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w - 1) < 0.1:
-            raise ValueError(
-                f"the quaternion of {each.child_frame_id!r:.60} has another norm than 1"
-            )
+            raise ValueError("the norm of a quaternion is not 1")
         T = pose(Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix(), [t.x, t.y, t.z])
         found.append(FramePose(each.header.frame_id.strip("/"), each.child_frame_id.strip("/"), T))
     return tuple(found)
