@@ -130,7 +130,8 @@ def test_two_cameras_of_an_eye_are_told_apart():
 
 
 @pytest.mark.parametrize("board", [CHARUCO, Chessboard(columns=6, rows=5, square_m=0.03)])
-def test_the_board_is_found_but_not_its_size(board, tmp_path):
+def test_the_board_is_found_but_not_its_size(board, tmp_path, monkeypatch):
+    monkeypatch.setattr("vergence.recordings.first_map._PROBES", 4)
     pictures = tuple(picture(board, held(k), (280, 240))[0] for k in range(2))
     found = recorded(STEREO, dict.fromkeys(PAN_TILT, 0.3), pictures=(GREY, *pictures))
     (tmp_path / "map.toml").write_text(first_map(*found))

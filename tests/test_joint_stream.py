@@ -32,7 +32,7 @@ def stream_of(rng: np.random.Generator, gaze, until_s: float, noise_rad: float) 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("rate_hz", "with_stream", "seed"),
-    [(30, False, 0), (30, False, 1), (30, True, 1), (5, True, 2)],
+    [(30, False, 1), (5, True, 2)],
 )
 def test_a_latency_of_45_ms_is_found_among_readings_at_97_hz_with_gaps(
     rate_hz: int, with_stream: bool, seed: int

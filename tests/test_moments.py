@@ -1,6 +1,7 @@
 """Images and joint readings are brought together by their stamps, or one sentence says why not."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -129,6 +130,14 @@ def test_repeated_and_backward_stamps_are_named_and_put_in_order():
     moments, _ = moments_of(found, mapped())
     assert (np.diff(moments.time_ns) > 0).all()
     assert len(moments) == len(STEADY)
+
+
+def test_clocks_that_differ_while_their_stamps_overlap_are_named():
+    found = scanned({"/l": STEADY, "/r": STEADY}, STEADY, 0.0 * STEADY)
+    late = {name: replace(track, late_s=2.5) for name, track in found.joints.items()}
+    findings = checked(replace(found, joints=late))
+    assert {each.code for each in findings} == {"two-clocks"}
+    assert "2.50 s; set stamps = " in findings[0].sentence
 
 
 @pytest.mark.parametrize(

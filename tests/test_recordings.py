@@ -25,7 +25,7 @@ from vergence import cli
 from vergence.data.reader import load_dataset
 from vergence.errors import VergenceError
 from vergence.geometry.head import load_head
-from vergence.recordings import frame_choice
+from vergence.recordings import first_map, frame_choice
 from vergence.recordings.import_recording import import_recording
 from vergence.recordings.recording_map import load_map
 from vergence.stereo.extrinsics import relative_camera_pose
@@ -57,6 +57,7 @@ def robot(tmp_path_factory: pytest.TempPathFactory, slow_setup: None) -> tuple[P
 def test_the_page_s_commands_lead_to_points(robot, monkeypatch, capsys):
     folder, session = robot
     monkeypatch.setattr(frame_choice, "MOST_MOVING", 15)  # to save time
+    monkeypatch.setattr(first_map, "_PROBES", 2)
     monkeypatch.chdir(folder)
     steps = [words[1:] for words in commands(PAGE) if words[1] != "record"]
     listing, direct, imported, _, corrected, exported = steps

@@ -27,6 +27,8 @@ that of an encoder with steps of 0.1 degrees."""
 WINDOW_NS = 200_000_000
 """Time before and after a moment in which all stands still [ns]: the largest latency of readings,
 so that a reading of an eye at rest is of the same posture as the image."""
+APART_S = 1.0
+"""Difference [s] of the times from stamp to receipt that no latency of a robot explains."""
 JITTER = 1.1
 """Factor on periods for stamps that vary, as those of USB cameras do."""
 
@@ -158,28 +160,34 @@ def check_stamps(
     VergenceError if images and joint readings cannot be brought together by their stamps.
     """
     remedy = 'set stamps = "received" in the map if the recorder has one clock'
-    images = {each.images: scanned.images[each.images].stamp_ns for each in mapped.cameras.values()}
-    joints = {
-        joint.column: joint_track(scanned, joint.column).stamp_ns
-        for joint in description.sources.values()
-    }
+    images = {each.images: scanned.images[each.images] for each in mapped.cameras.values()}
+    sources = description.sources.values()
+    joints = {each.column: joint_track(scanned, each.column) for each in sources}
     findings = []
-    for name, stamp_ns in (images | joints).items():
-        steps = np.diff(stamp_ns)
-        odd = f"{int((steps <= 0).sum())} of {len(stamp_ns)} stamps of {name} repeat the one before"
+    for name, track in (images | joints).items():
+        steps = np.diff(track.stamp_ns)
+        count = int((steps <= 0).sum())
+        odd = f"{count} of {len(steps) + 1} stamps of {name} repeat the one before"
         if 2 * (steps == 0).sum() > len(steps) > 1:
             raise VergenceError(f"{odd}; {remedy}.")
-        if (steps <= 0).any():
+        if count:
             late_s = -steps.min() * 1e-9
             sentence = f"{odd}, or are up to {late_s:.3g} s earlier; they were put in order."
             findings.append(warning("stamps-out-of-order", sentence, name))
     for pair in itertools.product(images.items(), joints.items()):
-        (first, early_ns), (last, late_ns) = sorted(pair, key=lambda each: each[1].max())
-        if early_ns.max() < late_ns.min():
+        (first, early), (last, late) = sorted(pair, key=lambda each: each[1].stamp_ns.max())
+        end_s, begin_s = early.stamp_ns.max() * 1e-9, late.stamp_ns.min() * 1e-9
+        if end_s < begin_s:
             raise VergenceError(
-                f"The stamps are of two clocks: those of {first} end at {early_ns.max() * 1e-9:.3f}"
-                f" s, before those of {last} begin at {late_ns.min() * 1e-9:.3f} s; {remedy}."
+                f"The stamps are of two clocks: those of {first} end at {end_s:.3f} s, before "
+                f"those of {last} begin at {begin_s:.3f} s; {remedy}."
             )
+        if abs(early.late_s - late.late_s) > APART_S:
+            sentence = (
+                f"The stamps may be of two clocks: those of {first} are {early.late_s:.2f} s "
+                f"before their receipt, those of {last} {late.late_s:.2f} s; {remedy}."
+            )
+            findings.append(warning("two-clocks", sentence, last))
     return tuple(findings)
 
 

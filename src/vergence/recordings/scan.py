@@ -16,7 +16,7 @@ from vergence.arrays import Array
 from vergence.errors import VergenceError
 from vergence.geometry.camera import Camera
 from vergence.progress import Progress, silent
-from vergence.recordings.recording import FramePose, JointSample, Recording
+from vergence.recordings.recording import FramePose, JointSample, Message, Recording
 
 THUMBNAIL_PX = 160
 """Width [px] of the small images that are compared; averaging suppresses the pixels' noise."""
@@ -45,6 +45,11 @@ class ImageTrack:
     size: tuple[int, int]
     """Width and height [px]."""
 
+    @property
+    def late_s(self) -> float:
+        """Median time from the stamps to the receipt [s]."""
+        return float(np.median(self.received_ns - self.stamp_ns)) * 1e-9
+
 
 @dataclass(frozen=True, eq=False)
 class Track:
@@ -54,6 +59,8 @@ class Track:
     """(S,) of int, in the order of the recording."""
     values: Array
     """(S,) in the unit of the recording, or T_parent_child (S, 4, 4) [m]."""
+    late_s: float = 0.0
+    """Median time from the stamps to the receipt [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +117,7 @@ def scan(
         if isinstance(content, JointSample):
             for name, value in zip(content.names, content.values.tolist(), strict=True):
                 if columns is None or name in columns or f"{message.channel}:{name}" in columns:
-                    joints[message.channel, name].append(stamp, [value])
+                    joints[message.channel, name].append(message, [value])
         elif isinstance(content, Camera):
             lenses[message.channel] = content
         elif isinstance(content, np.ndarray):
@@ -127,7 +134,7 @@ def scan(
         else:
             for each in cast(tuple[FramePose, ...], content):
                 if frames is None or (each.parent, each.child) in frames:
-                    poses[each.parent, each.child].append(stamp, each.T_parent_child.ravel())
+                    poses[each.parent, each.child].append(message, each.T_parent_child.ravel())
         if done % 20 == 0 or done == total:
             progress("reading the recording", done, total)
     return Scan(
@@ -146,14 +153,16 @@ class _Values:
     """Values of a track as they are read, without a Python object for each."""
 
     def __init__(self) -> None:
-        self.stamp_ns, self.values = array("q"), array("d")
+        self.stamp_ns, self.late_ns, self.values = array("q"), array("q"), array("d")
 
-    def append(self, stamp_ns: int, values: Iterable[float]) -> None:
-        self.stamp_ns.append(stamp_ns)
+    def append(self, message: Message, values: Iterable[float]) -> None:
+        self.stamp_ns.append(message.stamp_ns)
+        self.late_ns.append(message.received_ns - message.stamp_ns)
         self.values.extend(values)
 
     def track(self, *shape: int) -> Track:
-        return Track(np.array(self.stamp_ns), np.array(self.values).reshape(shape))
+        late_s = float(np.median(self.late_ns)) * 1e-9
+        return Track(np.array(self.stamp_ns), np.array(self.values).reshape(shape), late_s)
 
 
 def _thumbnail(image: np.ndarray) -> np.ndarray:
