@@ -105,13 +105,6 @@ def test_cameras_that_are_not_synchronised_share_moments_at_rest_only():
     np.testing.assert_allclose(moments.eye_angles[:, 0], np.clip(t - 1, 0, 1), atol=1e-9)
 
 
-def test_moments_beyond_the_readings_are_not_known():
-    images = {name: np.arange(0, 1000, 100) * MS for name in ("/l", "/r")}
-    at = np.arange(150, 800, 10) * MS
-    moments, _ = moments_of(scanned(images, at, np.zeros(len(at))), mapped())
-    assert moments.known.tolist() == [False] * 2 + [True] * 6 + [False] * 2
-
-
 STEADY = np.arange(0, 3000, 100) * MS
 
 

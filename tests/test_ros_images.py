@@ -120,11 +120,6 @@ def test_a_compressed_image_shows_the_picture(format: str, suffix: str, toleranc
     assert np.abs(found.astype(int) - picture).max() <= tolerance
 
 
-def test_compressed_images_may_be_grey_and_deep():
-    deep = smooth_picture()[..., 0].astype(np.uint16) * DEEP
-    np.testing.assert_array_equal(compressed(deep, "mono16; png compressed "), deep)
-
-
 def compressed(image: np.ndarray, format: str, suffix: str = ".png") -> np.ndarray:
     data = cv2.imencode(suffix, image)[1].ravel()
     return compressed_image(SimpleNamespace(format=format, data=data))

@@ -95,16 +95,6 @@ def test_a_video_has_the_stamps_of_a_csv(tmp_path):
     assert "wide has 40 images, but 39 stamps" in refusal(tmp_path)
 
 
-@pytest.mark.parametrize("names", [("a", "b"), ("9" * 30, "1"), ("9" * 19, "1"), ("1.0", "nan")])
-def test_images_without_stamps_are_listed_as_such(tmp_path, names):
-    write_tables(tmp_path)
-    for name in names:
-        write_image(tmp_path / "third" / f"{name}.png", IMAGES["left"][0])
-    with open_recording(tmp_path) as recording:
-        assert recording.channels["third"].kind == "other"
-        assert "without stamps" in recording.channels["third"].type
-
-
 def test_images_numbered_by_frames_need_a_csv(tmp_path):
     write_tables(tmp_path)
     for k, image in enumerate(IMAGES["left"]):
@@ -123,18 +113,14 @@ def test_images_numbered_by_frames_need_a_csv(tmp_path):
     [
         ("", "Empty CSV"),
         ("pan,tilt\n1,2\n", "csv without a column of times"),
-        ("time,pan\n", "csv without a column of times"),
         ("time,pan\n0.1,1\n0.2\n", "Expected 2 columns, got 1"),
         ("time,pan\n0.1,1\n0.2,on\n", "Failed to parse string: 'on'"),
-        ("time,pan\n0.1,1\nnoon,2\n", "Failed to parse string: 'noon'"),
         ("time,pan\n0.1,1\n,2\n", "stamp 2 is nan"),
         ("time,pan\n0.1,1\n1e30,2\n", "stamp 2 is 1e+30, not a time in s"),
         ("time,pan\n1,1\n2,2\n", "as numbers of frames have"),
         ("time,pan,pan\n0.1,1,2\n", "two columns have one name"),
         ("time,pan\n0.1,\0\n", "csv of times without numbers"),
-        ("\0\0\0\0", "Empty CSV"),
         ("time,image\n0.1,../secret.png\n", "leads out of the recording's folder"),
-        ("time,image\n0.1,/etc/passwd.png\n", "leads out of the recording's folder"),
         ("time,image\n0.1,none.png\n", "missing"),
         ("time,image\n0.1,link.png\n", "leads out of the recording's folder"),
         ("time,image\n0.1,joints.csv.png\n", "not a readable image"),
@@ -157,10 +143,3 @@ def test_sizes_are_checked_before_memory_is_taken(tmp_path):
     assert "too large" in refusal(tmp_path)
     (tmp_path / "joints.csv").write_bytes(b"," * 4000 + b"\n" * 10_000)
     assert "40,010,000 cells" in refusal(tmp_path) or "cells" in refusal(tmp_path)
-
-
-def test_a_table_outside_of_the_folder_is_not_read(tmp_path):
-    write_csv(tmp_path / "joints.csv", "time,pan", ["0.1,1"])
-    (tmp_path / "recording").mkdir()
-    (tmp_path / "recording" / "joints.csv").symlink_to(tmp_path / "joints.csv")
-    assert "leads out of the recording's folder" in refusal(tmp_path / "recording")

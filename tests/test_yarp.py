@@ -114,10 +114,3 @@ def test_images_outside_of_the_recording_are_not_read(tmp_path):
     (inside / "left" / "data.log").unlink()
     (inside / "left" / "data.log").symlink_to("/dev/zero")
     assert "leads out" in refusal(inside)
-
-
-def test_a_log_of_absurd_size_is_refused_at_once(tmp_path):
-    write_port(tmp_path / "head", "Bottle", [])
-    with (tmp_path / "head" / "data.log").open("wb") as file:
-        file.truncate(20 * 2**30)
-    assert "too large" in refusal(tmp_path)
