@@ -22,7 +22,7 @@ from vergence.twin.model import (
     compile_head,
     shared_joints,
 )
-from vergence.twin.model_chain import body_pose
+from vergence.twin.model_joints import body_pose
 from vergence.twin.offscreen import Format, Offscreen
 from vergence.twin.profile import Axes, ErrorProfile, Image, Joints, Mounting, Optics
 from vergence.twin.renderer import overscan_sizes

@@ -1,16 +1,11 @@
-"""From a model and a complete description to the head as designed.
-
-Frame head has its axes along `forward` and `up`. The origin of an eye is where its last axis comes
-nearest to the one before, its rotation centre if they meet; eyes with the same joints have it
-beside that, as far as their cameras are.
-"""
+"""From a model and a complete description to the head as designed."""
 
 # pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -25,8 +20,7 @@ from vergence.geometry.kinematics import EYES, Kinematics, Side
 from vergence.geometry.neck import Neck
 from vergence.geometry.se3 import inverse, pose, transform
 from vergence.twin.head_file import CameraFile, HeadFile
-from vergence.twin.model_chain import ModelChain, ancestors, model_chain
-from vergence.twin.model_readings import model_readings
+from vergence.twin.model_joints import ModelChain, ancestors, model_chain, model_readings
 
 R_MJCAM_CAM = np.diag([1.0, -1.0, -1.0])
 """From OpenCV's frame of a camera to MuJoCo's, which looks along -z with +y up."""
@@ -61,80 +55,92 @@ def designed_head(
 ) -> DesignedHead:
     """Build the head as designed from a compiled model.
 
-    `stated` is complete, see `head_guess.completed`; `lenses` are the intrinsics by camera.
+    `stated` is complete, see `head_guess.completed`; `lenses` are the intrinsics by camera. Frame
+    head has its axes along `forward` and `up`. An eye's origin is its rotation centre; eyes with
+    the same joints have it beside that, as far as their cameras are.
     VergenceError if joints are not hinges, or make no head that can be described.
     """
-    assert stated.base is not None
     assert stated.forward is not None
     assert stated.up is not None
     R_base_head = axes_along(stated.forward, stated.up)
     chains: dict[Side, ModelChain] = {}
+    sides: dict[str, Side] = {}
     bodies, T_body_cam, T_base_cam, origins = {}, {}, {}, {}
     for name, camera in stated.cameras.items():
         assert camera.eye is not None
+        eye, joints = camera.eye, stated.eyes.get(camera.eye, ())
         bodies[name], own = camera_in_body(model, name, camera)
-        chain = model_chain(model, stated.base, bodies[name], stated.eyes.get(camera.eye, ()))
-        if lost := set(stated.eyes.get(camera.eye, ())) - set(chain.joints):
+        chain = model_chain(model, stated.base, bodies[name], joints)
+        if lost := set(joints) - set(chain.joints):
             raise VergenceError(
-                f"The {camera.eye} eye has the joint {min(lost)}, which does not lie between "
+                f"The {eye} eye has the joint {min(lost)}, which does not lie between "
                 f"{stated.base} and its camera {name}."
             )
-        R = chain.T_base_end[:3, :3].T @ R_base_head @ R_EYE_CAM if own is None else own[:3, :3]
-        at = np.zeros(3) if camera.pos_m is None else camera.pos_m
-        T_body_cam[name] = pose(R, at) if own is None else own
-        T_base_cam[name] = chain.T_base_end @ T_body_cam[name]
-        chains.setdefault(camera.eye, chain)
-    for eye in chains:
-        origins[eye] = _rotation_centre(chains[eye])
+        if own is None:
+            own = pose(chain.T_base_end[:3, :3].T @ R_base_head @ R_EYE_CAM, camera.pos_m)
+        sides[name], T_body_cam[name], T_base_cam[name] = eye, own, chain.T_base_end @ own
+        chains.setdefault(eye, chain)
+    for eye, chain in chains.items():
+        origins[eye] = _rotation_centre(chain)
         if len(chains) == 2 and chains["left"].joints == chains["right"].joints:
-            camera = next(n for n, camera in stated.cameras.items() if camera.eye == eye)
+            camera = next(name for name in sides if sides[name] == eye)
             left, beside = R_base_head[:, 1], T_base_cam[camera][:3, 3] - origins[eye]
             origins[eye] = origins[eye] + beside @ left * left
-    joints = list(dict.fromkeys(j for eye in EYES if eye in chains for j in chains[eye].joints))
-    factors = {name: joint.readings or {} for name, joint in stated.joints.items()}
-    free = [joint for joint in joints if not factors.get(joint)]
-    readings = model_readings(model, free)
-    for joint, mixing in zip(free, readings.mixing, strict=True):
-        factors[joint] = {n: f for n, f in zip(readings.names, mixing, strict=True) if f}
-    offsets = dict(zip(free, readings.offset_rad, strict=True))
-    names = dict.fromkeys(reading_name(name) for joint in joints for name in factors[joint])
+    names: dict[Side, tuple[str, ...]] = {e: chains[e].joints for e in EYES if e in chains}
+    factors, offsets = _readings(model, stated, list(dict.fromkeys(sum(names.values(), ()))))
+    T_base_head = pose(R_base_head, sum(origins.values()) / len(origins))
+    both, neck = len(origins) == 2, _neck(model, stated, T_base_head)
+    t = R_base_head.T @ (origins["left"] - origins["right"]) if both else None
     try:
-        kinematics = Kinematics(
-            {
-                eye: tuple(
-                    Joint(
-                        name=plain_name(name),
-                        axis=R_base_head.T @ axis,
-                        readings={reading_name(n): f for n, f in factors[name].items()},
-                        point_m=R_base_head.T @ _nearest(point - origins[eye], axis),
-                        offset_rad=offsets.get(name, 0.0),
-                    )
-                    for name, axis, point in zip(
-                        chains[eye].joints, chains[eye].axes, chains[eye].points_m, strict=True
-                    )
-                )
-                if eye in chains
-                else ()
-                for eye in EYES
-            },
-            tuple(names),
-        )
+        eyes: dict[Side, tuple[Joint, ...]] = {eye: () for eye in EYES}
+        for eye, chain in chains.items():
+            eyes[eye] = _eye_joints(chain, pose(R_base_head, origins[eye]), factors, offsets)
+        readings = dict.fromkeys(name for by_name in factors.values() for name in by_name)
+        kinematics = Kinematics(eyes, tuple(readings))
         mounted = {}
-        for name, camera in stated.cameras.items():
-            assert camera.eye is not None
-            T_base_eye = pose(R_base_head, origins[camera.eye])
-            end_m = kinematics.chains[camera.eye].end_m
-            T_eye_cam = pose(t=-end_m) @ inverse(T_base_eye) @ T_base_cam[name]
-            mounted[name] = MountedCamera(camera.eye, lenses[name], T_eye_cam)
-        both = len(origins) == 2
-        t = R_base_head.T @ (origins["left"] - origins["right"]) if both else np.zeros(3)
-        T_base_head = pose(R_base_head, sum(origins.values()) / len(origins))
-        neck = _neck(model, stated, T_base_head)
+        for name, eye in sides.items():
+            T_end_base = pose(t=-kinematics.chains[eye].end_m) @ inverse(
+                pose(R_base_head, origins[eye])
+            )
+            mounted[name] = MountedCamera(eye, lenses[name], T_end_base @ T_base_cam[name])
         head = HeadCalibration(mounted, pose(t=t), kinematics, neck)
     except ValueError as error:
         raise VergenceError(f"{stated.model} is no head: {explain(error)}.") from None
-    eyes: dict[Side, tuple[str, ...]] = {e: chains[e].joints for e in EYES if e in chains}
-    return DesignedHead(head, stated.base, T_base_head, eyes, stated.neck or (), bodies, T_body_cam)
+    return DesignedHead(
+        head, stated.base, T_base_head, names, stated.neck or (), bodies, T_body_cam
+    )
+
+
+def _readings(
+    model: mujoco.MjModel, stated: HeadFile, joints: Sequence[str]
+) -> tuple[dict[str, dict[str, float]], dict[str, float]]:
+    """Find the factors of readings, and the offsets [rad], by joint: as stated, or the model's."""
+    stated_factors = {name: joint.readings for name, joint in stated.joints.items()}
+    free = [joint for joint in joints if not stated_factors.get(joint)]
+    found = model_readings(model, free)
+    by_model = {
+        joint: {name: factor for name, factor in zip(found.names, row, strict=True) if factor}
+        for joint, row in zip(free, found.mixing, strict=True)
+    }
+    every = stated_factors | by_model
+    factors = {j: {reading_name(name): f for name, f in every[j].items()} for j in joints}
+    return factors, dict(zip(free, found.offset_rad, strict=True))
+
+
+def _eye_joints(
+    chain: ModelChain,
+    T_base_eye: Array,
+    factors: Mapping[str, dict[str, float]],
+    offsets: Mapping[str, float],
+) -> tuple[Joint, ...]:
+    """Describe the joints of a chain in the axes of its eye, by points near to its origin."""
+    R, origin, joints = T_base_eye[:3, :3], T_base_eye[:3, 3], []
+    for name, axis, point in zip(chain.joints, chain.axes, chain.points_m, strict=True):
+        between = point - origin
+        point_m = R.T @ (between - between @ axis * axis)
+        joint = Joint(plain_name(name), R.T @ axis, factors[name], point_m)
+        joints.append(replace(joint, offset_rad=offsets.get(name, 0.0)))
+    return tuple(joints)
 
 
 def axes_along(forward: Array, up: Array) -> Array:
@@ -173,13 +179,8 @@ def camera_in_body(
         return model.body(model.cam_bodyid[k]).name, pose(R @ R_MJCAM_CAM, model.cam_pos[k])
     if camera.forward is None or camera.up is None:
         return camera.body, None
-    at = np.zeros(3) if camera.pos_m is None else camera.pos_m
-    return camera.body, pose(axes_along(camera.forward, camera.up) @ R_EYE_CAM, at)
-
-
-def _nearest(between: Array, axis: Array) -> Array:
-    """Find the point of an axis nearest to the origin, from a vector to any point of it."""
-    return between - between @ axis * axis
+    R = axes_along(camera.forward, camera.up) @ R_EYE_CAM
+    return camera.body, pose(R, camera.pos_m)
 
 
 def _rotation_centre(chain: ModelChain) -> Array:
@@ -198,7 +199,6 @@ def _neck(model: mujoco.MjModel, stated: HeadFile, T_base_head: Array) -> Neck:
     """Read the neck: its body is the one before its first joint, with the head's axes."""
     if not stated.neck:
         return Neck()
-    assert stated.base is not None
     first = ancestors(model, int(model.jnt_bodyid[model.joint(stated.neck[0]).id]))
     chain = model_chain(model, "world", stated.base, stated.neck)
     before = model_chain(model, "world", model.body(first[-2]).name, ()).T_base_end[:3, 3]

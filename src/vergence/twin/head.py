@@ -25,7 +25,7 @@ from vergence.twin.model import (
     compile_head,
     shared_joints,
 )
-from vergence.twin.model_chain import body_pose
+from vergence.twin.model_joints import body_pose
 from vergence.twin.profile import ErrorProfile
 from vergence.twin.renderer import Negative, Renderer, overscan_sizes
 from vergence.twin.scene import PASSER, Scene, passer_position

@@ -18,7 +18,7 @@ from vergence.geometry.se3 import inverse, transform
 from vergence.twin import no_opengl
 from vergence.twin.designed_head import moving_joints
 from vergence.twin.head_model import HeadModel
-from vergence.twin.model_chain import at_rest, body_pose
+from vergence.twin.model_joints import at_rest, body_pose
 
 WAVE_RAD = 0.3 * np.sin(np.linspace(0, 2 * np.pi, 24))
 """Angles of a joint there and back, within the usual ranges of eyes and necks."""

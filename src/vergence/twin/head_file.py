@@ -1,8 +1,4 @@
-"""`head.toml`: how an MJCF or a URDF is a head with eyes.
-
-It lies beside the model and states only what the model does not: `docs/own_head.md` has examples.
-Names are those of the model. Lengths are in metres; angles in degrees, as their names say.
-"""
+"""`head.toml` beside an MJCF or a URDF: what makes it a head; `docs/own_head.md` explains it."""
 
 from __future__ import annotations
 
@@ -30,40 +26,34 @@ class _Table(BaseModel):
 
 
 class LensFile(_Table):
-    """A lens: camera_info, a field of view or a focal length, the first that is stated; else the
-    model's."""
+    """A lens: the first of these that is stated, or else the model's."""
 
+    camera_info: str | None = None
+    """ROS's camera_info, a YAML file beside head.toml."""
     fov_deg: Annotated[float, Field(gt=0, lt=179)] | None = None
     """Horizontal field of view, without distortion."""
     focal_mm: Annotated[float, Field(gt=0, le=1000)] | None = None
     """Focal length, for the size of the sensor that the model states."""
-    camera_info: str | None = None
-    """ROS's camera_info, a YAML file beside head.toml."""
     model: CameraModel = "radial-tangential"
-    """Of the distortion below."""
     distortion: tuple[float, ...] = ()
     """Coefficients in the order of `geometry.lens.COEFFICIENTS`; empty: none."""
 
 
 class CameraFile(LensFile):
-    """A camera; by default a camera of this name in the model, with its place and lens there."""
+    """A camera of the model, or a link that is one."""
 
     eye: Side | None = None
-    """Eye that carries it; default: by its place to the left or right of the others, and the left
-    one for a single camera."""
     camera: Name | None = None
-    """Its name in the model; default: its name here."""
+    """Its name in the model; None: its name here."""
     body: Name | None = None
     """Body or link that carries it, where the model has no such camera."""
     pos_m: Vector3 | None = None
-    """Its place in that body; default: the origin."""
+    """Its place in that body; None: the origin."""
     forward: Vector3 | None = None
-    """Direction in that body in which it looks; default: that of the head, with every joint at
-    zero."""
+    """Direction in that body in which it looks; None: that of the head, with joints at zero."""
     up: Vector3 | None = None
-    """Direction in that body that is up in its image; default: that of the head."""
     size: tuple[Pixels, Pixels] | None = None
-    """Width and height of its images [px]; default: the model's, or 640 x 480."""
+    """Width and height of its images [px]."""
 
 
 class LensChoice(LensFile):
@@ -73,11 +63,10 @@ class LensChoice(LensFile):
 
 
 class JointFile(_Table):
-    """A joint of the model; by default it has a reading of its own name, and the model's limits."""
+    """A joint of the model, or one that is added to a body."""
 
-    readings: dict[Name, float] | None = None
-    """Its angle is the sum of factor times reading; default: the joint's own name, times one, or
-    the joint that it mimics in the model."""
+    readings: dict[Name, float] = {}
+    """Its angle is the sum of factor times reading; empty: as the model has it."""
     range_deg: tuple[float, float] | None = None
     speed_deg_s: Annotated[float, Field(gt=0)] | None = None
     body: Name | None = None
@@ -85,31 +74,26 @@ class JointFile(_Table):
     axis: Vector3 | None = None
     """Its axis in that body."""
     pos_m: Vector3 | None = None
-    """A point on its axis in that body; default: the origin."""
+    """A point on its axis in that body; None: the origin."""
 
 
 class HeadFile(_Table):
-    """Content of head.toml."""
+    """Content of head.toml; `head_guess.completed` finds in the model what it leaves open."""
 
     model: Name
     """MJCF or URDF file, beside this one."""
-    base: Name | None = None
-    """Body that is the head: the joints beyond it move the cameras, those before it are the neck's.
-    Default: the body before the joints of the eyes."""
+    base: Name = ""
+    """Body that is the head: joints beyond it move the cameras, those before it are the neck's."""
     forward: Vector3 | None = None
-    """Direction in the base's frame in which the eyes look with every joint at zero; default: the
-    mean of the cameras'."""
+    """Direction in the base's frame in which the eyes look with every joint at zero."""
     up: Vector3 | None = None
-    """Direction in the base's frame that is up; default: the mean of the images'."""
+    """Direction in the base's frame that is up."""
     cameras: dict[Name, CameraFile] = {}
-    """By name; default: all cameras of the model that a joint moves."""
     eyes: dict[Side, tuple[Name, ...]] = {}
-    """By eye its joints, from the base outwards; default: the hinges between base and cameras."""
+    """By eye its joints, from the base outwards."""
     neck: tuple[Name, ...] | None = None
-    """Joints of the neck, from the body outwards; default: up to three hinges before the base. All
-    others stand still, at the model's keyframe "home" or at zero."""
+    """Joints of the neck, from the body outwards."""
     joints: dict[Name, JointFile] = {}
-    """By the joint's name."""
     lenses: dict[Name, LensChoice] = {}
     """Lenses to choose from by name, the first by default."""
     format: Literal["vergence-head-1"] = "vergence-head-1"

@@ -15,8 +15,15 @@ from vergence.geometry.kinematics import EYES, Side
 from vergence.geometry.se3 import cross, inverse, transform
 from vergence.twin.designed_head import camera_in_body
 from vergence.twin.head_file import CameraFile, HeadFile
-from vergence.twin.model_chain import DIGITS, ancestors, at_rest, body_pose, is_hinge, joints_to
-from vergence.twin.model_readings import model_readings
+from vergence.twin.model_joints import (
+    DIGITS,
+    ancestors,
+    at_rest,
+    body_pose,
+    is_hinge,
+    joints_to,
+    model_readings,
+)
 
 EYE_JOINTS, NECK_JOINTS = 2, 3
 """Fewest joints of an eye, where there are as many, and most joints of a neck; those before it are
@@ -48,7 +55,7 @@ def completed(stated: HeadFile, model: mujoco.MjModel) -> HeadFile:
     paths = {name: _hinges(model, body, stated) for name, (body, _) in where.items()}
     shared = [j for j in next(iter(paths.values())) if all(j in path for path in paths.values())]
     base = stated.base
-    if base is None:
+    if not base:
         own = min(len(path) for path in paths.values()) - len(shared)
         taken = min(len(shared), max(0, EYE_JOINTS - own))
         first = {path[len(shared) - taken :][0] for path in paths.values()}

@@ -18,7 +18,7 @@ from vergence.geometry.kinematics import EYES, Side
 from vergence.geometry.se3 import inverse, pose, rotation
 from vergence.twin.designed_head import R_MJCAM_CAM, DesignedHead, moving_joints
 from vergence.twin.head_model import HeadModel
-from vergence.twin.model_chain import at_rest, body_pose, model_chain
+from vergence.twin.model_joints import at_rest, body_pose, model_chain
 from vergence.twin.profile import ErrorProfile
 from vergence.twin.scene import Scene, load_room
 
@@ -131,29 +131,15 @@ def compile_head(
         furnish(room)
     model = room.compile()
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)  # nothing collides
-    _hide_before_lenses(model)
+    _hide_eyeballs(model)
     return model
 
 
-def _hide_before_lenses(model: mujoco.MjModel) -> None:
-    """Hide from the cameras what is mounted with them and stands before them, such as an eyeball.
-
-    Models place cameras inside of meshes, and links of a URDF that are no cameras.
-    """
-    data, weld, groups = mujoco.MjData(model), model.body_weldid, model.geom_group.copy()
-    mujoco.mj_forward(model, data)
-    u, v = (part.ravel() for part in np.meshgrid(np.linspace(-1, 1, 9), np.linspace(-1, 1, 7)))
-    for camera in range(model.ncam):
-        # Metres in the image plane, per metre of depth.
-        half = model.cam_sensorsize[camera] / 2 / model.cam_intrinsic[camera, :2]
-        rays = np.stack([u * half[0], v * half[1], -np.ones_like(u)], axis=-1)
-        mounted = weld[model.geom_bodyid] == weld[model.cam_bodyid[camera]]
-        model.geom_group[:] = np.where(mounted & (groups < 3), 0, HIDDEN)  # 3 and more: not drawn
-        for ray in rays @ data.cam_xmat[camera].reshape(3, 3).T:
-            geom, first = np.zeros((1, 1), np.int32), np.array([1, 0, 0, 0, 0, 0], np.uint8)
-            while mujoco.mj_ray(model, data, data.cam_xpos[camera], ray, first, 1, -1, geom) >= 0:
-                model.geom_group[geom[0, 0]] = groups[geom[0, 0]] = HIDDEN
-    model.geom_group[:] = groups
+def _hide_eyeballs(model: mujoco.MjModel) -> None:
+    """Hide from the cameras what is mounted with them: models place cameras inside of meshes."""
+    mounted = model.body_weldid[model.cam_bodyid]
+    hidden = np.isin(model.body_weldid[model.geom_bodyid], mounted[mounted > 0])
+    model.geom_group[hidden & (model.geom_group < 3)] = HIDDEN  # 3 and more: not drawn
 
 
 def _quaternion(T: Array) -> Array:
@@ -169,8 +155,7 @@ def _place(part: mujoco.MjsBody | mujoco.MjsCamera, T: Array) -> None:
 def _let_stand_still(spec: mujoco.MjSpec, of: HeadModel) -> None:
     """Delete all joints that neither turn an eye nor are the neck's, and what refers to them.
 
-    Their bodies stay where the model has them at rest, and joints that move begin at zero. What
-    stands in the world of the model is deleted too.
+    Joints that move begin at zero. What stands in the world of the model is deleted too.
     """
     model, moving = of.model, moving_joints(of.designed)
     data = at_rest(model, moving)
@@ -280,32 +265,30 @@ def _mount_cameras(
 
 
 def check_calibration_of(truth: HeadCalibration, calibration: HeadCalibration) -> None:
-    """Raise VergenceError if a calibration cannot be that of the twin, given as built.
-
-    Main cameras, readings, baseline and focal lengths are compared.
-    """
-    names, found = pair_names(truth), ""
-    if absent := [name for name in names if name not in calibration.cameras]:
-        found = f"it has no camera {absent[0]}, it has {', '.join(calibration.cameras)}"
-    elif calibration.kinematics.readings != truth.kinematics.readings:
-        found = f"it is moved by {', '.join(calibration.kinematics.readings)}"
-    else:
-        for what, unit, size in (
-            ("its baseline", "mm", lambda head: 1e3 * np.linalg.norm(head.T_rbase_lbase[:3, 3])),
-            *(
-                (f"{name}.fx", "px", lambda head, n=name: head.cameras[n].intrinsics.matrix[0, 0])
-                for name in names
-            ),
-        ):
-            ours, twins = size(calibration), size(truth)
-            if abs(ours / twins - 1) > 0.1:  # calibrations err by a few percent
-                found = f"{what} is {ours:.1f} {unit}, the twin's {twins:.1f} {unit}"
-                break
-    if found:
-        raise VergenceError(
-            f"This calibration is of another head than the twin: {found}. Give the --profile and "
-            "the --seed with which its dataset was recorded, with 2.8 mm lenses."
+    """Raise VergenceError if a calibration cannot be that of the twin, given as built."""
+    names, kinematics = pair_names(truth), calibration.kinematics
+    if (
+        not set(names) <= set(calibration.cameras)
+        or kinematics.readings != truth.kinematics.readings
+    ):
+        found = (
+            f"it has {', '.join(calibration.cameras)}, moved by {', '.join(kinematics.readings)}"
         )
+    else:
+        ours, twins = (
+            np.array(
+                [np.linalg.norm(head.T_rbase_lbase[:3, 3])]
+                + [head.cameras[name].intrinsics.matrix[0, 0] for name in names]
+            )
+            for head in (calibration, truth)
+        )
+        if (np.abs(ours / twins - 1) <= 0.1).all():  # calibrations err by a few percent
+            return
+        found = f"its baseline [m] and focal lengths [px] are {ours.round(3)}, not {twins.round(3)}"
+    raise VergenceError(
+        f"This calibration is of another head than the twin: {found}. Give the --profile and "
+        "the --seed with which its dataset was recorded, with 2.8 mm lenses."
+    )
 
 
 def body_in_room(model: mujoco.MjModel, name: str) -> str:

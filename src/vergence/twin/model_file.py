@@ -1,8 +1,4 @@
-"""Read an MJCF or a URDF file as a specification that MuJoCo compiles.
-
-A URDF gets what its format leaves open: where package:// paths lie, links that stay although they
-do not move, and inertia. Parts without a name get one, so that head.toml can refer to them.
-"""
+"""Read an MJCF or a URDF file as a specification whose parts all have names."""
 
 # pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
@@ -59,11 +55,10 @@ def _complete_urdf(root: ElementTree.Element, path: Path) -> str:
                 mesh.set("filename", str(file))
                 if file.suffix.lower() not in MESHES:
                     link.remove(shape)
-    settings = root.find("mujoco")
-    settings = ElementTree.SubElement(root, "mujoco") if settings is None else settings
-    compiler = settings.find("compiler")
-    compiler = ElementTree.SubElement(settings, "compiler") if compiler is None else compiler
-    compiler.attrib |= {"fusestatic": "false", "discardvisual": "false", "strippath": "false"}
+    for stated in root.findall("mujoco"):
+        root.remove(stated)
+    options = {"fusestatic": "false", "discardvisual": "false", "strippath": "false"}
+    ElementTree.SubElement(ElementTree.SubElement(root, "mujoco"), "compiler", options)
     return ElementTree.tostring(root, encoding="unicode")
 
 

@@ -17,7 +17,7 @@ from vergence.geometry.se3 import pose
 from vergence.interchange import urdf
 from vergence.twin.head_checks import disagreement
 from vergence.twin.head_model import HeadModel, load_head_model
-from vergence.twin.model_readings import model_readings
+from vergence.twin.model_joints import model_readings
 
 ROOT = Path(__file__).parents[1]
 
