@@ -38,6 +38,7 @@ def test_the_description_of_the_page_describes_a_head(tmp_path):
 
 @pytest.mark.render
 @pytest.mark.slow
+@pytest.mark.usefixtures("few_views")
 def test_the_commands_of_the_page_let_the_eyes_look(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("eyes.xml").write_text(first(PAGE, "xml"))

@@ -13,6 +13,10 @@ SHORT = ("--duration", "1", "--rate", "2", "--profile", "ideal")
 SCENARIOS = {
     ("figure_pair.py", "near"): (SHORT, r"divergent / parallel std of depth: \d"),
     ("calibration_sequence.py",): (("--lens", "4.0mm"), r"right_narrow: 0\.\d+ degrees"),
+    ("two_heads.py", "budget"): (
+        ("--profile", "ideal"),
+        r"(?s)cbi_head.*off by.*tilt_head.*off by",
+    ),
     ("own_experiment.py",): ((), r"vergence \+0\.40 rad: error (?!.*-0\.0).*, .*, .* mm"),
 }
 TESTED_ELSEWHERE = {"gaze_demos.py", "error_study.py"}
@@ -47,6 +51,7 @@ def test_scenario_runs_and_prints_its_result(command, tmp_path, monkeypatch, cap
         ("figure_pair.py far --duration -1", "duration"),
         ("gaze_demos.py foveate --profile perfect", "ideal, noise-only, paper"),
         ("gaze_demos.py track --seed -1", "The seed must be"),
+        ("two_heads.py budget --profile perfect", "ideal, noise-only, paper"),
     ],
 )
 def test_a_mistake_ends_a_scenario_in_a_sentence(

@@ -99,10 +99,7 @@ def plan(
 def _around_board_at_rest(
     head: HeadCalibration, board: Board, cameras: tuple[str, ...], ranges: Array, count: int
 ) -> list[Shot]:
-    """Turn the eyes about a board at rest, as far as it stays in most of the images.
-
-    It stands farther away, and the eyes turn less, where lenses are narrow.
-    """
+    """Turn the eyes about a board at rest: farther away, and less, where lenses are narrow."""
     straight = np.clip(straight_gaze(head.kinematics), *ranges.T)
     turned = np.array([0.25, -0.2, 0.05])  # [rad]
     # Directions spread evenly over an ellipse (sunflower): pan and tilt vary independently. The
@@ -171,10 +168,9 @@ def visible(head: HeadCalibration, board: Board, name: str, shot: Shot) -> np.nd
     """Select the corners (K,) that a camera sees well inside its image."""
     camera = head.camera(name).intrinsics
     uv = project_board(head, board, name, shot)
-    size = np.array(camera.size)
     # [rad]: for the board's white margin, and for cameras that sit a few degrees off.
     margin = 0.055 * camera.matrix[0, 0]
-    return ((uv > margin) & (uv < size - 1 - margin)).all(axis=1)
+    return ((uv > margin) & (uv < np.array(camera.size) - 1 - margin)).all(axis=1)
 
 
 def project_board(head: HeadCalibration, board: Board, name: str, shot: Shot) -> Array:
@@ -192,10 +188,9 @@ def _held_board(
     lean_rad: float,
     rng: np.random.Generator,
 ) -> Array | None:
-    """Draw a T_lbase_target at which all the cameras see the whole board.
+    """Draw a T_lbase_target at which all cameras see the whole board; None: at no such depth [m].
 
-    The depth is between two (2,) [m]; None: at these depths it fits into no image. VergenceError if
-    that is so beyond the room.
+    VergenceError if that is so beyond the room.
     """
     if depth_m[0] > 3.0:
         raise VergenceError(
@@ -219,10 +214,9 @@ def _held_board(
 def board_as_given(profile: ErrorProfile, board: Board = BOARD) -> Board:
     """Make the board with the dimensions that the calibration is given."""
     printed = 1 + profile.calibration.square_percent / 100
-    given = replace(board, square_m=board.square_m / printed)
-    return (
-        replace(given, marker_m=given.marker_m / printed) if isinstance(given, Charuco) else given
-    )
+    if isinstance(board, Charuco):
+        board = replace(board, marker_m=board.marker_m / printed)
+    return replace(board, square_m=board.square_m / printed)
 
 
 def carry_out(twin: Twin, shots: Sequence[Shot], *, interval_s: float = 0.0) -> Iterator[Shot]:

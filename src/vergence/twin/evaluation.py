@@ -112,18 +112,14 @@ def evaluate(head: HeadCalibration, truth: Truth) -> Evaluation:
     Offsets of the joints are expressed as rotations of the mountings, from which images cannot
     distinguish them. VergenceError if the truth lacks a camera or has other joints.
     """
-    for name in head.cameras:
-        if name not in truth.head.cameras:
-            raise VergenceError(
-                f"The truth is of another head: it has no camera {name}, only "
-                f"{', '.join(truth.head.cameras)}."
-            )
     eyes: set[Side] = {mounted.eye for mounted in head.cameras.values()}
     true_kinematics = truth.head.kinematics
+    if absent := set(head.cameras) - set(truth.head.cameras):
+        raise VergenceError(f"The truth is of another head: it has no camera {min(absent)}.")
     if not same_design(true_kinematics, head.kinematics, eyes):
         raise VergenceError(
-            "The truth is of another head: its joints have other axes, other places or other "
-            "readings than those of the calibration."
+            "The truth is of another head: its joints have other axes, places or readings than "
+            "those of the calibration."
         )
     same: dict[Side, tuple[Joint, ...]] = {
         eye: (true_kinematics if eye in eyes else head.kinematics).eyes[eye] for eye in EYES

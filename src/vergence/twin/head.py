@@ -19,12 +19,7 @@ from vergence.geometry.se3 import inverse, pose, transform
 from vergence.twin import renderer
 from vergence.twin.designed_head import moving_joints
 from vergence.twin.head_model import HeadModel, load_head_model
-from vergence.twin.model import (
-    as_built_head,
-    body_in_room,
-    compile_head,
-    shared_joints,
-)
+from vergence.twin.model import as_built_head, body_in_room, compile_head, shared_joints
 from vergence.twin.model_joints import body_pose
 from vergence.twin.profile import ErrorProfile
 from vergence.twin.renderer import Negative, Renderer, overscan_sizes

@@ -42,11 +42,7 @@ def pose_joints(of: HeadModel, readings: Array, neck: Array) -> mujoco.MjData:
 
 
 def disagreement(of: HeadModel) -> float:
-    """Compare the head's kinematics with MuJoCo's at 20 random postures of eyes and neck.
-
-    Returns the largest difference of an element of a camera's pose in frame body. Readings and
-    angles are within 1 rad.
-    """
+    """Find the largest error of a camera's pose [m, 1] at 20 random postures within 1 rad."""
     designed, head, differences = of.designed, of.designed.head, []
     r, n = len(head.kinematics.readings), len(designed.neck)
     T_head_world = _straight(of)
@@ -87,9 +83,9 @@ class View(NamedTuple):
     posture: Array
     """(j,) angles of the neck's joints and readings of the eyes [rad]."""
     bodies: dict[str, Array]
-    """(4, 4) by body its pose."""
+    """Poses (4, 4) by body."""
     axes: dict[str, Array]
-    """(2, 3) [m] by joint both ends of its axis."""
+    """Ends (2, 3) [m] of the axis by joint."""
 
 
 def sweep(of: HeadModel) -> Iterator[View]:
@@ -106,10 +102,7 @@ def sweep(of: HeadModel) -> Iterator[View]:
 
 
 def picture(of: HeadModel) -> np.ndarray:
-    """Render the head (H, W, 3), RGB, with axes of its joints and views of the model's cameras.
-
-    VergenceError without OpenGL.
-    """
+    """Render the head (H, W, 3), RGB, with axes and views; VergenceError without OpenGL."""
     model, data = of.model, at_rest(of.model, moving_joints(of.designed))
     view, option, shown = mujoco.MjvCamera(), mujoco.MjvOption(), mujoco.mjtVisFlag
     mujoco.mj_forward(model, data)

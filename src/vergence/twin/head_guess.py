@@ -43,10 +43,9 @@ OPTICAL = CameraFile(forward=np.array([0.0, 0.0, 1.0]), up=np.array([0.0, -1.0, 
 def completed(stated: HeadFile, model: mujoco.MjModel) -> HeadFile:
     """Fill in from a compiled model what a description leaves open.
 
-    An eye has its own joints and, if these are fewer than EYE_JOINTS, the joints before them, which
-    both eyes share. The base is the body before them, and up to NECK_JOINTS independent hinges
-    before it are the neck. KeyError of MuJoCo for a part that the model does not have;
-    VergenceError if it has no cameras, or leaves open which are the eyes'.
+    An eye has its own joints and, if these are fewer than EYE_JOINTS, shared ones before them; the
+    base is the body before, and independent hinges before it are the neck. KeyError of MuJoCo for
+    a part that the model does not have; VergenceError if eyes are not found.
     """
     for joint in (*stated.joints, *(stated.neck or ()), *sum(stated.eyes.values(), ())):
         model.joint(joint)
@@ -94,10 +93,7 @@ def completed(stated: HeadFile, model: mujoco.MjModel) -> HeadFile:
 
 
 def _hinges(model: mujoco.MjModel, body: str, stated: HeadFile) -> list[str]:
-    """List the hinges that move a body, from the last joint of another kind before it outwards.
-
-    With stated eyes joints of other kinds stand still, and do not count.
-    """
+    """List the hinges that move a body; joints of other kinds stand still where eyes are stated."""
     found, other = [], ""
     for joint in joints_to(model, body):
         if is_hinge(model, joint):
@@ -150,11 +146,9 @@ def _directions(
     bodies: Mapping[str, Array],
     where: Mapping[str, tuple[str, Array | None]],
 ) -> tuple[Array, ...]:
-    """Find where the eyes look and what is up, in the base, with every joint at zero.
+    """Find where the eyes look and what is up, in the base; `bodies` are poses (4, 4) of carriers.
 
-    `bodies` are poses (4, 4) in the base of the bodies that carry cameras. Links without axes of
-    their own look across the line from the right one to the left one, with the world's z up, or
-    along the world's x.
+    Links without axes look across the line between them, with the world's z up, or along its x.
     """
     forward, _, up = body_pose(data, base)[:3, :3]
     places = {_side_of(name): T[:3, 3] for name, T in bodies.items()}
@@ -180,9 +174,9 @@ def _sides(
     parts: Collection[str],
     places: Mapping[str, float],
 ) -> dict[str, Side]:
-    """Tell which eye carries each camera: as stated, by their names, or by their places.
+    """Assign eyes to cameras: as stated, by their names, or by their places to the left [m].
 
-    `parts` are the last joints that move cameras, `places` by camera how far left it is [m].
+    `parts` are the last joints that move cameras.
     """
     sides: dict[str, Side | None] = {
         n: camera.eye or _side_of(camera.camera or n) for n, camera in cameras.items()

@@ -10,12 +10,7 @@ import mujoco
 import numpy as np
 
 from vergence.errors import VergenceError
-from vergence.gaze.commands import (
-    USUAL_RANGE_RAD,
-    USUAL_SPEED_RAD_S,
-    JointLimits,
-    posture_joints,
-)
+from vergence.gaze.commands import USUAL_RANGE_RAD, USUAL_SPEED_RAD_S, JointLimits, posture_joints
 from vergence.geometry.camera import Camera
 from vergence.geometry.head import HeadCalibration
 from vergence.interchange import ros

@@ -277,14 +277,14 @@ def check_calibration_of(truth: HeadCalibration, calibration: HeadCalibration) -
     else:
         ours, twins = (
             np.array(
-                [np.linalg.norm(head.T_rbase_lbase[:3, 3])]
+                [1e3 * np.linalg.norm(head.T_rbase_lbase[:3, 3])]
                 + [head.cameras[name].intrinsics.matrix[0, 0] for name in names]
             )
             for head in (calibration, truth)
         )
         if (np.abs(ours / twins - 1) <= 0.1).all():  # calibrations err by a few percent
             return
-        found = f"its baseline [m] and focal lengths [px] are {ours.round(3)}, not {twins.round(3)}"
+        found = f"baseline [mm] and focal lengths [px] are {ours.round(1)}, not {twins.round(1)}"
     raise VergenceError(
         f"This calibration is of another head than the twin: {found}. Give the --profile and "
         "the --seed with which its dataset was recorded, with 2.8 mm lenses."

@@ -161,10 +161,7 @@ def _shots(twin: Twin, board: Board, seed: int, frames: int) -> list[Shot]:
 
 
 def _verging(twin: Twin, shots: list[Shot]) -> list[Shot]:
-    """Add vergence to shots of eyes with separate readings.
-
-    Exchanged readings of left and right cannot be detected in images of eyes that move alike.
-    """
+    """Add vergence where eyes have separate readings, so that exchanged ones can be detected."""
     head, ranges = twin.nominal, _ranges(twin)
     left, right = (head.kinematics.used(eye) for eye in EYES)
     if set(left) & set(right):
@@ -191,8 +188,7 @@ def _capture(
 ) -> Iterator[tuple[Array, DatasetRow]]:
     """Yield the true eye angles (r,) and the dataset's row of each frame.
 
-    After each frame at rest the eyes stay for `hold_s`; unless it is 0, a frame at rest follows the
-    motion, so that a recording shows that the board is still there.
+    After each frame at rest the eyes stay for `hold_s`; unless it is 0, one follows the motion.
     """
     for shot in carry_out(twin, shots, interval_s=0.1):  # each row has its own time stamp
         yield _frame(twin, shot, moving=False)

@@ -17,11 +17,7 @@ import numpy as np
 from vergence.accuracy.motions import PERIOD_S, SLOWEST_S, eye_readings
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
-from vergence.gaze.commands import (
-    HeadCommand,
-    hold,
-    setpoint,
-)
+from vergence.gaze.commands import HeadCommand, hold, setpoint
 from vergence.gaze.foveation import gaze_angles
 from vergence.gaze.state import GazeSettings
 from vergence.geometry.head import base_pose
@@ -62,11 +58,7 @@ def calibrate_twin(twin: Twin, seed: int, progress: Progress = silent) -> GazeSe
     rest = np.array([twin.capture(()).eye_angles for _ in range(30)])
     floor = 5e-5  # more would make the filter of a perfect head lag behind what it sees
     std = float(rest.std(axis=0, ddof=1).mean())
-    return GazeSettings(
-        calibration=head,
-        limits=twin.limits,
-        reading_std=float(np.hypot(floor, std)),
-    )
+    return GazeSettings(head, limits=twin.limits, reading_std=float(np.hypot(floor, std)))
 
 
 def divergent_motion(twin: Twin) -> Callable[[float], Array]:
@@ -84,12 +76,8 @@ def divergent_motion(twin: Twin) -> Callable[[float], Array]:
 
 
 def look_around(twin: Twin, cameras: Sequence[str], *, run: int) -> Iterator[Frame]:
-    """Yield frames of LOOK_S of quick divergent motion, in which vergence changes.
-
-    The number of the run determines the noise.
-    """
+    """Yield frames of LOOK_S of quick divergent motion; the run's number determines the noise."""
     twin.restart(run)
-
     motion = divergent_motion(twin)
 
     def command(time_s: float) -> Array:
@@ -145,11 +133,9 @@ class SimulatedHead:
         twin.restart(run)
         self._T_world_start = twin.T_world_lbase()
         self._T_lbase_head = inverse(base_pose(twin.truth, "left"))
-        kinematics = twin.truth.kinematics
-        self._limits = twin.limits
-        self._command = hold(twin.rest(), self._limits, twin.time_s)
+        self._command = hold(twin.rest(), twin.limits, twin.time_s)
         self._next_s, self._number = twin.time_s, 0
-        self._gain, self._offset = gains_and_offsets(twin.profile.joints, kinematics)
+        self._gain, self._offset = gains_and_offsets(twin.profile.joints, twin.truth.kinematics)
 
     def now_s(self) -> float:
         """Read the simulated clock [s]."""
@@ -192,7 +178,6 @@ def true_pixels(twin: Twin, settings: GazeSettings) -> Array:
 def foveal_errors(twin: Twin, settings: GazeSettings) -> Array:
     """Compute the object's distances (E,) [px] from where the calibration would have it.
 
-    That is the principal points, or beside them for eyes that cannot turn to it one by one.
     Infinite where the object is behind a camera.
     """
     wanted = best_pixels(settings, twin.true_object()[None])[1][0]
@@ -224,7 +209,7 @@ def reachable(twin: Twin, settings: GazeSettings, places_head: Array) -> np.ndar
 
 
 def in_all_foveas(twin: Twin, settings: GazeSettings) -> bool:
-    """Tell whether the object's centre is within all these images."""
+    """Test whether the object's centre is within all these images."""
     return all(
         ((pixel > -0.5) & (pixel + 0.5 < twin.truth.camera(name).intrinsics.size)).all()
         for name, pixel in zip(settings.narrow, true_pixels(twin, settings), strict=True)
