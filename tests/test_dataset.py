@@ -1,10 +1,13 @@
 """Datasets on disk: good ones are read as they were meant."""
 
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from recordings import (
     JOINTS,
@@ -18,6 +21,7 @@ from recordings import (
     write_table,
 )  # fmt: skip
 from vergence.data.dataset import runs
+from vergence.data.images import decode_image, image_size, to_8_bits
 from vergence.data.reader import _unmarked_motion, load_dataset
 from vergence.errors import VergenceError
 from vergence.geometry.kinematics import Kinematics
@@ -80,22 +84,60 @@ def test_images_are_rgb(tmp_path):
 
 @pytest.mark.parametrize(
     ("bits", "brightest", "grey"),
-    [(None, 1000, 125), (None, 600, 125), (None, 200, 200), (9, 1000, 250), (12, 1000, 31)],
+    [(None, 1000, 128), (None, 100, 100), (9, 1000, 250), (12, 1000, 31)],
 )
-def test_images_of_16_bits_are_reduced_by_their_brightest_pixel_or_as_stated(
+def test_images_of_16_bits_are_reduced_by_the_range_that_they_fill_or_as_stated(
     tmp_path, bits, brightest, grey
 ):
     table, about = rows(1), description()
     if bits:
         about["cameras"]["left_wide"]["bits"] = bits
     picture = np.full((24, 32, 3), min(500, brightest), np.uint16)
-    picture[0, 0] = brightest
+    picture[0, 0, 0] = brightest
     images = {table[0]["left_wide"]: picture, table[0]["right_wide"]: np.zeros_like(picture)}
     write_dataset(tmp_path / "set", table, about, images)
     image = load_dataset(tmp_path / "set").image("left_wide", 0)
     assert image is not None
     assert image.dtype == np.uint8
     assert image[5, 5].tolist() == [grey] * 3
+
+
+@pytest.mark.parametrize("offset", [0, 300, 60000])
+def test_a_hot_pixel_and_a_narrow_range_leave_an_image_of_16_bits_its_contrast(offset):
+    """A picture that fills 3 % of the range."""
+    grey = np.linspace(0, 255, 64 * 48).reshape(48, 64)
+    picture = (offset + grey * 8).astype(np.uint16)
+    picture[7, 9] = 65535
+    found = to_8_bits(picture).astype(float)
+    assert found[7, 9] == 255
+    found[7, 9] = grey[7, 9]
+    np.testing.assert_allclose(found, grey, atol=3)
+
+
+@pytest.mark.parametrize("kind", ["PNG", "TIFF", "JPEG"])
+def test_pixels_stay_as_they_are_stored_whatever_the_orientation(kind):
+    stored = cv2.resize(np.random.default_rng(0).integers(0, 255, (3, 4, 3), np.uint8), (32, 24))
+    for dtype in (np.uint8, np.uint16):
+        image = Image.fromarray(stored if dtype == np.uint8 else stored[..., 0].astype(dtype) * 99)
+        if kind == "JPEG" and dtype == np.uint16:
+            continue
+        found = []
+        for orientation in range(1, 9):
+            exif, content = Image.Exif(), BytesIO()
+            exif[274] = orientation
+            image.save(content, kind, exif=exif)
+            assert image_size(content.getvalue()) == (32, 24)
+            found.append(decode_image(content.getvalue()))
+        for each in found:
+            np.testing.assert_array_equal(each, found[0] if kind == "JPEG" else np.asarray(image))
+
+
+@pytest.mark.parametrize("part", [0.3, 0.9])
+def test_a_damaged_jpeg_is_none_and_no_library_says_so(part, capfd):
+    content = cv2.imencode(".jpg", np.random.default_rng(0).integers(0, 255, (60, 80), np.uint8))[1]
+    assert decode_image(content.tobytes()) is not None
+    assert decode_image(content.tobytes()[: int(part * len(content))]) is None
+    assert capfd.readouterr() == ("", "")
 
 
 def test_units_signs_and_columns_are_those_of_the_head(folder):

@@ -53,7 +53,7 @@ class DatasetCamera:
     lengths [%], of the principal point [% of half the image], and of what each coefficient moves
     the image's corner [% of its distance]; 0: exactly. None: they are not used."""
     bits: Annotated[int, Field(ge=8, le=16)] | None = None
-    """Bits that 16-bit images of the camera fill; None: those of the image's brightest pixel."""
+    """Bits that 16-bit images of the camera fill; None: by the range that each image fills."""
 
 
 @dataclass(frozen=True, eq=False, config=_STRICT)
