@@ -113,10 +113,7 @@ def _rows(root: Path, name: str, index: int, stack: ExitStack) -> tuple[Any, Any
 
 def _matrix(column: Any) -> Array:
     """Convert a column of numbers, or of lists of equal lengths, to (N, C)."""
-    width = len(column[0]) if len(column) and column.type.num_fields else 1
-    if column.type.num_fields:
-        column = column.cast(pyarrow.list_(pyarrow.float64(), width)).combine_chunks().flatten()
-    return column.cast(pyarrow.float64()).to_numpy(zero_copy_only=False).reshape(-1, width)
+    return np.array(column.to_pylist(), float).reshape(len(column), -1)
 
 
 def _names(key: str, names: Any, count: int) -> tuple[str, ...]:

@@ -24,9 +24,6 @@ from vergence.recordings.video import open_video
 DATA, INFO = "data.log", "info.log"
 MAX_LOG_BYTES, MAX_LINES = 10**8, 2_000_000
 """Largest data.log [bytes, lines]; five hours of six joints at 100 Hz have 1.8 million lines."""
-MAX_LATENCY_S = 60.0
-"""Longest time [s] between sending and receiving. Two numbers that are closer, and count from 1970
-as no reading of a joint does, are two stamps."""
 _START = {n: re.compile(rb"\s*-?\d{1,20}" + rb"\s+(\d{1,20}\.?\d{0,20})" * n) for n in (1, 2)}
 """Number and stamps of a line, by the number of its stamps."""
 _IMAGE = re.compile(rb"\s*([\w.-]+\.(?:ppm|pgm|png|jpe?g|bmp|tiff?))\b", re.IGNORECASE)
@@ -96,9 +93,6 @@ def _port(root: Path, port: Path, stack: ExitStack) -> Series:
 
 def _lines(file: Path, lines: list[bytes], two: bool) -> tuple[np.ndarray, np.ndarray, list[bytes]]:
     """Split lines into the times of sending and of receipt [ns] and their contents."""
-    if lines and (match := _START[2].match(lines[0])):
-        sent, received = float(match[1]), float(match[2])
-        two |= sent > 1e8 and abs(received - sent) < MAX_LATENCY_S
     times, texts = np.empty((2, len(lines))), []
     for k, line in enumerate(lines):
         if (match := _START[1 + two].match(line)) is None:
