@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from lz4.frame import compress as lz4_compress
+from rosbags.rosbag1 import Reader as Ros1Reader
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, storage_mcap
 from rosbags.rosbag2 import Writer as Ros2Writer
@@ -21,6 +22,7 @@ from test_bags import assert_same, bag_name, contents
 from vergence.errors import VergenceError
 from vergence.recordings.bag import write_bag
 from vergence.recordings.formats import open_recording
+from vergence.recordings.ros import typestore
 from vergence.recordings.scan import scan
 
 Change = Callable[[Path], object]
@@ -141,32 +143,20 @@ def test_compressed_bags_are_read(tmp_path: Path, compression: str):
 
 def compressed(path: Path, compression: str) -> Path:
     """Copy a bag with the library's own compression, for ROS 2 one of its modes."""
-    copy = path.with_name("c" + path.name)
-    if "z" in compression:
-        from rosbags.rosbag1 import Reader as Ros1Reader
-
-        to1 = Ros1Writer(copy)
-        to1.set_compression(Ros1Writer.CompressionFormat[compression.upper()])
-        with Ros1Reader(path) as reader, to1:
-            new1 = {
-                each.id: to1.add_connection(
-                    each.topic, each.msgtype, msgdef=each.msgdef.data, md5sum=each.digest
-                )
-                for each in reader.connections
-            }
-            for connection, time, data in reader.messages():
-                to1.write(new1[connection.id], time, data)
-        return copy
-    to2 = Ros2Writer(copy, version=9, storage_plugin=StoragePlugin.MCAP)
-    to2.set_compression(CompressionMode[compression.upper()], CompressionFormat.ZSTD)
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    with Reader(path) as reader, to2:
-        new2 = {
-            each.id: to2.add_connection(each.topic, each.msgtype, typestore=store)
+    copy, ros1 = path.with_name("c" + path.name), "z" in compression
+    reader, writer = (Ros1Reader(path), Ros1Writer(copy)) if ros1 else (
+        Reader(path), Ros2Writer(copy, version=9, storage_plugin=StoragePlugin.MCAP))  # fmt: skip
+    if isinstance(writer, Ros1Writer):
+        writer.set_compression(Ros1Writer.CompressionFormat[compression.upper()])
+    else:
+        writer.set_compression(CompressionMode[compression.upper()], CompressionFormat.ZSTD)
+    with reader, writer:
+        new: dict[int, Any] = {
+            each.id: writer.add_connection(each.topic, each.msgtype, typestore=typestore(ros1=ros1))
             for each in reader.connections
         }
         for connection, time, data in reader.messages():
-            to2.write(new2[connection.id], time, data)
+            writer.write(new[connection.id], time, data)
     return copy
 
 

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from vergence.data.description import DatasetJoint, Description
 from vergence.errors import VergenceError
 from vergence.findings import Finding
-from vergence.geometry.kinematics import EYES
+from vergence.geometry.kinematics import EYES, Side
 from vergence.geometry.se3 import inverse, pose
 from vergence.recordings.moments import Moments, check_stamps, find_moments
 from vergence.recordings.readings import interpolate, needed_frames
@@ -177,7 +177,7 @@ def test_poses_of_eyes_come_from_a_tree_of_frames():
         ("head", "mount"): Track(START + STEADY, np.tile(T_head_mount, (len(STEADY), 1, 1))),
         ("mount", "eye"): Track(START + STEADY, T_mount_eye),
     }
-    sources = {side: PoseSource(base="base", eye="eye") for side in EYES}
+    sources: dict[Side, PoseSource] = {side: PoseSource(base="base", eye="eye") for side in EYES}
     images = {name: STEADY[:-1] + 30 * MS for name in ("/l", "/r")}
     found = scanned(images, STEADY, 0.0 * STEADY, poses=tracks)
     moments, _ = moments_of(found, mapped(joints={}, poses=sources))
