@@ -1,8 +1,6 @@
 """The visible shapes of a model, for drawing the head without MuJoCo."""
 
 # pyright: reportAttributeAccessIssue=false
-# MuJoCo's compiled module has no type stubs.
-
 from __future__ import annotations
 
 from dataclasses import dataclass

@@ -36,13 +36,13 @@ class DesignedHead:
     T_base_head: Array
     """(4, 4) pose of frame head in that body."""
     eyes: Mapping[Side, tuple[str, ...]]
-    """By eye its joints in the model, from the base outwards."""
+    """Joints of each eye in the model, from the base outwards."""
     neck: tuple[str, ...]
-    """The neck's joints in the model, from the body outwards."""
+    """Joints of the neck in the model, from the body outwards."""
     cameras: Mapping[str, str]
-    """By camera the body that carries it."""
+    """Body that carries each camera."""
     T_body_cam: Mapping[str, Array]
-    """By camera its pose (4, 4) in that body."""
+    """Pose (4, 4) of each camera in that body."""
 
 
 def moving_joints(designed: DesignedHead) -> list[str]:
@@ -99,9 +99,8 @@ def designed_head(
         kinematics = Kinematics(eyes, tuple(readings))
         mounted = {}
         for name, eye in sides.items():
-            T_end_base = pose(t=-kinematics.chains[eye].end_m) @ inverse(
-                pose(R_base_head, origins[eye])
-            )
+            T_eye_base = inverse(pose(R_base_head, origins[eye]))
+            T_end_base = pose(t=-kinematics.chains[eye].end_m) @ T_eye_base
             mounted[name] = MountedCamera(eye, lenses[name], T_end_base @ T_base_cam[name])
         head = HeadCalibration(mounted, pose(t=t), kinematics, neck)
     except ValueError as error:

@@ -38,10 +38,7 @@ class SimulatedHand:
     """The driver of the simulated hand; `true_point` is for evaluation only."""
 
     def __init__(self, twin: Twin, home: Array, T_body_arm: Array):
-        """Put the hand at its home position (3,) [m] in frame body, by its encoders.
-
-        T_body_arm is the true pose (4, 4) of the arm relative to its assumed one.
-        """
+        """Put the hand at a position (3,) [m] in frame body, by the encoders of a displaced arm."""
         self._twin, self._T_body_arm = twin, T_body_arm
         self._position, self._velocity = np.array(home, float), np.zeros(3)
         self._opening_m, self._time_s = OPEN_M, twin.time_s
@@ -78,8 +75,9 @@ class SimulatedHand:
             self._time_s += dt
 
     def _T_lbase_arm(self) -> Array:
-        neck = self._twin.true_neck()
-        return inverse(base_pose_in_body(self._twin.truth, "left", neck)) @ self._T_body_arm
+        truth = self._twin.truth
+        neck = self._twin.true_angles()[: len(truth.neck.axes)]
+        return inverse(base_pose_in_body(truth, "left", neck)) @ self._T_body_arm
 
     def true_point(self, by_encoders: Array) -> Array:
         """Map a point (3,) [m] by the encoders to where it truly is, in the left eye's base."""

@@ -104,11 +104,7 @@ class Twin:
         self.restart(0)
 
     def restart(self, run: int) -> None:
-        """Go back to time zero and the home posture, with nothing in the room.
-
-        The noise depends on the number of the run and the seed alone, not on what the head did
-        before.
-        """
+        """Go back to time zero at rest, in an empty room; run and seed determine the noise."""
         self._rng = np.random.default_rng([self._seed, 3, run])
         self._renderer.restart(run)
         mujoco.mj_resetData(self.model, self._data)
@@ -145,9 +141,8 @@ class Twin:
         """Step the physics until a simulated time.
 
         The command is (j,) wanted angles [rad] of the neck's joints, then the readings, or a
-        function of the time that gives them. The function is asked every 5 ms of simulated time, a
-        clock of its own, so that the motion does not depend on where it stops; in between goes a
-        line, which is servoed at 1 kHz.
+        function of the time that gives them. The function is sampled every 5 ms of simulated time
+        and interpolated, so that the motion does not depend on where it stops.
         """
         backlash = np.radians(self.profile.joints.backlash_deg)
         width = backlash / np.append(
@@ -198,10 +193,6 @@ class Twin:
     def true_readings(self) -> Array:
         """Interpolate the true readings (r,) to the moment of an image that is taken now."""
         return self.true_angles()[self._readings]
-
-    def true_neck(self) -> Array:
-        """Interpolate the true angles (n,) of the neck to that moment."""
-        return self.true_angles()[: self._readings.start]
 
     def true_object(self) -> Array:
         """Compute the position (3,) [m] of the object in the left eye's base."""
@@ -274,8 +265,7 @@ class Twin:
     def place_hand(self, T_lbase_hand: Array | None, *, opening_m: float = 0.0) -> None:
         """Put the hand at a pose (4, 4) in the left eye's base frame; None takes it away.
 
-        Its origin is where the centre of what it grasps should be, midway between the faces of the
-        fingers, which are `opening_m` apart.
+        Its origin is midway between the faces of the fingers, which are `opening_m` apart.
         """
         self._place("hand", T_lbase_hand)
         for side, sign in (("left", 1), ("right", -1)):

@@ -118,7 +118,8 @@ def intrinsics(
         raise VergenceError(f"The lens of {name} is not known; give its fov_deg or camera_info.")
     matrix[[0, 1], [0, 1]] = focal
     matrix[:2, 2] = (np.array(size) - 1) / 2 - shift
-    return Camera(*size, matrix, np.array(lens.distortion), lens.model)
+    width, height = size
+    return Camera(width, height, matrix, np.array(lens.distortion), lens.model)
 
 
 def head_limits(model: mujoco.MjModel, stated: HeadFile, designed: DesignedHead) -> JointLimits:

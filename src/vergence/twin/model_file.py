@@ -20,10 +20,9 @@ MESHES = (".stl", ".obj", ".msh")
 
 
 def load_model(path: Path) -> mujoco.MjSpec:
-    """Read an MJCF or a URDF file.
+    """Read an MJCF or a URDF file, without meshes of a URDF that MuJoCo does not read.
 
-    Meshes of a URDF in a format that MuJoCo does not read are left out: only the picture of the
-    robot needs them. VergenceError if the file is missing, too large, or MuJoCo does not load it.
+    VergenceError if the file is missing, too large, or MuJoCo does not load it.
     """
     content = read_bytes(path, MAX_MODEL_BYTES)
     try:

@@ -72,8 +72,7 @@ def body_pose(data: mujoco.MjData, name: str) -> Array:
 def model_chain(model: mujoco.MjModel, base: str, end: str, moving: Iterable[str]) -> ModelChain:
     """Read the chain of hinges from a base body to another one.
 
-    `moving` names the joints that move; others stand still, as `at_rest` has them. VergenceError if
-    a joint that moves is not a hinge.
+    Joints that are not in `moving` stand still. VergenceError if one that moves is not a hinge.
     """
     before, moving = joints_to(model, base), set(moving)
     joints = [joint for joint in joints_to(model, end) if joint in moving and joint not in before]

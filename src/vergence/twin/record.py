@@ -82,8 +82,8 @@ def record(
 
     `frames` are taken with the eyes at rest. `moving` frames follow, at RATE_HZ, with moving eyes
     and the board at rest. `head` is one that `load_head_model` reads; None: the default one, with
-    one of its lenses. `bag` asks for a bag with the same images in the folder. Progress is called
-    after each frame. VergenceError if an argument is out of range, or the folder cannot be written.
+    one of its lenses. `bag` asks for a bag with the same images in the folder. VergenceError if an
+    argument is out of range, or the folder cannot be written.
     """
     if not LEAST_FRAMES <= frames <= MOST_FRAMES:
         raise VergenceError(
@@ -113,7 +113,6 @@ def record(
         total = len(shots) + moving
         task = f"recording {total} frames"
         progress(task, 0, total)
-
         log: list[tuple[float, Array]] = []
         streamed = bag is not None and bag.joint_rate_hz > 0
         if streamed:

@@ -69,10 +69,9 @@ def overscan_sizes(head: HeadCalibration) -> dict[str, tuple[int, int]]:
 
 
 def _map(camera: Camera, size: tuple[int, int], oversampling: float) -> Sequence[np.ndarray]:
-    """Compute float32 maps x and y (H, W) into the rendered image for each pixel of the camera.
+    """Compute float32 maps x and y (H, W) into an image `oversampling` times as large as size.
 
-    That image is `oversampling` times as large as size. OpenCV's packed maps would round to 1/32
-    px.
+    OpenCV's packed maps would round to 1/32 px.
     """
     v, u = np.mgrid[: camera.height, : camera.width].astype(float)
     places = _in_pinhole(camera, np.stack([u, v], axis=-1), size)

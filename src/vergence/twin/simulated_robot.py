@@ -4,8 +4,6 @@ Before an experiment it is calibrated, or learns its geometry from images of the
 """
 
 # pyright: reportAttributeAccessIssue=false
-# MuJoCo's compiled module has no type stubs.
-
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
@@ -103,12 +101,9 @@ def learn_by_looking(
 class SimulatedHead:
     """The twin behind the interface `HeadDriver`, with an object that may move.
 
-    From frame to frame the physics advances, the object is placed on its path, and a frame is
-    taken. The path is fixed in the world, so that the object does not follow the neck.
-
-    The servo of a real eye is closed on its own sensor, so that commands have the same errors as
-    readings: the gain and offset of the error profile are undone on the way to the simulated joint,
-    which knows its true angle. Noise is not undone, because a servo averages over it.
+    The object's path is fixed in the world, so that it does not follow the neck. A real servo is
+    closed on its sensor, so that commands have the errors of readings: gain and offset of the
+    profile are undone on the way to the simulated joint. Noise is not, since a servo averages it.
     """
 
     hand: SimulatedHand | None = None
