@@ -71,6 +71,12 @@ def test_a_bad_cell_is_named_by_its_line(folder, row, column, value, sentence):
     assert sentence in refusal(folder)
 
 
+def test_folders_that_links_lead_to_are_read(folder):
+    (folder / "images").rename(folder.parent / "elsewhere")
+    (folder / "images").symlink_to(folder.parent / "elsewhere")
+    assert load_dataset(folder).image("left_wide", 0) is not None
+
+
 def test_links_that_leave_the_folder_are_refused(folder):
     (folder.parent / "secret.png").write_bytes(b"")
     (folder / "images" / "left_0.png").unlink()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vergence.recordings.formats import open_recording
-from vergence.recordings.series import UNITS_NS, read_stamps
+from vergence.recordings.series import UNITS_NS, files_in, inside, read_stamps
 from written_recordings import (
     IMAGE_NS,
     IMAGES,
@@ -33,6 +33,20 @@ def test_joints_and_images_are_read_with_their_stamps(tmp_path):
         assert set(recording.channels) == {"joints", "left", "right/data/filename"}
         assert recording.channels["joints"].type == "csv, times in ns"
     assert len(contents(tmp_path / "joints.csv")) == len(JOINT_NS)
+
+
+def test_links_to_folders_are_followed_once(tmp_path):
+    (root := tmp_path / "set").mkdir()
+    write_tables(root)
+    plain = list(files_in(root))
+    folder = next(each for each in root.iterdir() if each.is_dir())
+    folder.rename(tmp_path / "elsewhere")
+    folder.symlink_to(tmp_path / "elsewhere")
+    for name, to in (("zagain", "elsewhere"), ("up", "."), ("elsewhere/loop", "elsewhere")):
+        (root / name if "/" not in name else tmp_path / name).symlink_to(tmp_path / to)
+    (root / "self").symlink_to(root)
+    assert sorted(files_in(root)) == sorted(plain)
+    assert all(inside(root, each).is_file() for each in plain)
 
 
 @pytest.mark.parametrize("unit", UNITS_NS)

@@ -59,17 +59,20 @@ def read_bytes(path: Path, most_bytes: int) -> bytes:
 
 
 def file_inside(folder: Path, name: str, where: str, *, of: str) -> Path:
-    """Find a regular file by its name in a folder, which no link and no name may leave.
+    """Find a regular file by its name in a folder, which no name and no link to a file may leave.
 
-    `of` names what the folder holds, and `where` begins the sentence of a VergenceError.
+    Links to folders are followed: who named the folder has laid them. `of` names what the folder
+    holds, and `where` begins the sentence of a VergenceError.
     """
     root = folder.resolve()
     try:
         path = (root / name).resolve()
+        plain = ".." not in Path(name).parts and not Path(name).is_absolute()
+        linked = plain and path.parent == (root / name).parent.resolve()
         is_file = path.is_file()
     except (OSError, ValueError, RuntimeError):  # too long, a zero byte, a loop of links
         raise VergenceError(f"{where} is not a possible file name.") from None
-    if not path.is_relative_to(root):
+    if not path.is_relative_to(root) and not linked:
         raise VergenceError(f"{where} leads out of the {of}'s folder.")
     if not is_file:
         raise VergenceError(f"{where} is missing, or not a regular file.")

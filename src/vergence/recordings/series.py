@@ -78,8 +78,19 @@ def _read(
 
 
 def files_in(root: Path) -> Iterator[Path]:
-    """List files by their path in a folder, 9.png before 10.png; links to folders are left out."""
-    for count, (folder, folders, names) in enumerate(os.walk(root)):
+    """List files by their path in a folder, 9.png before 10.png.
+
+    Links to folders are followed, each folder once: none that is in this one, or that holds it.
+    """
+    seen = {real := root.resolve()}
+    for count, (folder, folders, names) in enumerate(os.walk(root, followlinks=True)):
+        for name in sorted(folders):
+            link = Path(folder, name)
+            to = link.resolve()
+            within = link.is_symlink() and to.is_relative_to(real)
+            if within or to in seen or real.is_relative_to(to):
+                folders.remove(name)
+            seen.add(to)
         folders.sort()
         if count == MAX_FOLDERS:
             return
