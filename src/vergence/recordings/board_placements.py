@@ -9,7 +9,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.data.description import Description
 from vergence.recordings.board_motion import GATE, board_views, squared_distances
-from vergence.recordings.frame_choice import ChosenFrames, joints_still, seconds
+from vergence.recordings.frame_choice import ChosenFrames, joint_motion, seconds
 from vergence.recordings.moments import Moments
 from vergence.recordings.recording_map import FrameChoice
 from vergence.vision.board_pose import LEAST_CORNERS, seen_corners
@@ -75,7 +75,8 @@ def _placements(
     vote, alike = np.zeros(len(k), int), np.ones(len(k), bool)
     neck = moments.neck_angles[rows]
     broken = np.abs(np.diff(neck, axis=0)).max(axis=1, initial=0.0) > NECK_RAD
-    disturbed = np.cumsum(~joints_still(moments))[rows]
+    motion = joint_motion(moments, np.zeros(len(moments), bool))
+    disturbed = np.cumsum(~(motion <= 1).all(axis=1))[rows]
     readings = moments.eye_angles if moments.T_base_eye is None else moments.T_base_eye
     for name, found in corners.items():
         views = board_views(description, name, found[rest], readings[rows])

@@ -163,11 +163,6 @@ def _alone(moments: Moments) -> np.ndarray:
     return np.concatenate([[True], far]) & np.concatenate([far, [True]])
 
 
-def joints_still(moments: Moments) -> np.ndarray:
-    """Find at which moments (N,) eyes and neck stand still since the moment before."""
-    return np.asarray((joint_motion(moments, np.zeros(len(moments), bool)) <= 1).all(axis=1))
-
-
 def _extremes(
     times_ns: np.ndarray, values: Array, begin_ns: np.ndarray, end_ns: np.ndarray
 ) -> tuple[Array, Array, int]:

@@ -1,8 +1,9 @@
 """Read folders of yarpdatadumper: one folder a port, with data.log, info.log and images.
 
-A line of data.log is `number stamp content`, or `number sent received content`, with times in
-seconds. The content is a Bottle in text, the name of an image file, or, with a video beside it, the
-number of a frame. The k-th number of the Bottles of a port is the joint `port/k`, from 0.
+A line of data.log is `number stamp content` or, if info.log says so, `number sent received
+content`, with times in seconds. The content is a Bottle in text, the name of an image file, or the
+number of a frame in the folder's video. The k-th number of the Bottles of a port is the joint
+`port/k`, from 0.
 """
 
 from __future__ import annotations
