@@ -17,7 +17,9 @@ from vergence.geometry.se3 import pose
 from vergence.interchange import urdf
 from vergence.twin.head_checks import disagreement
 from vergence.twin.head_model import HeadModel, load_head_model
+from vergence.twin.model import HIDDEN, compile_head
 from vergence.twin.model_joints import model_readings
+from vergence.twin.renderer import overscan_sizes
 
 ROOT = Path(__file__).parents[1]
 
@@ -320,3 +322,14 @@ def test_the_packaged_icub_is_read():
     forward = data.body("head").xmat.reshape(3, 3) @ found.T_base_head[:3, 0]
     np.testing.assert_allclose(forward, [-1, 0, 0], atol=0.01)
     assert disagreement(of) < 1e-9
+
+
+def test_an_eyeball_around_its_camera_is_not_drawn_and_what_is_not_mounted_with_it_is(tmp_path):
+    ball = two_eyes().replace("<camera ", '<geom name="ball" size="0.02"/><camera ', 1)
+    of = read(mjcf(f'<body name="head"><geom name="face" size="0.02"/>{ball}</body>'), tmp_path)
+    head = of.designed.head
+    model = compile_head(of, head, overscan_sizes(head))
+    assert model.geom("head/ball").group[0] == HIDDEN
+    drawn = [model.geom(g).group[0] < 3 for g in range(model.ngeom) if not model.geom_bodyid[g]]
+    assert all(drawn)  # the room
+    assert model.geom("head/face").group[0] == 0
