@@ -109,8 +109,8 @@ def find_corners(
     found = {}
     for name, mounted in head.cameras.items():
         uv = project_point(head, name, joints[:, None], points)
-        whole = inside_image(uv, mounted.intrinsics).all(axis=1)[:, None, None]
-        found[name] = np.where(whole, uv + rng.normal(0, noise_px, uv.shape), np.nan)
+        whole = np.asarray(inside_image(uv, mounted.intrinsics).all(axis=1))
+        found[name] = np.where(whole[:, None, None], uv + rng.normal(0, noise_px, uv.shape), np.nan)
     return found
 
 

@@ -142,9 +142,11 @@ def held_out(
     for k, part in enumerate(parts):
         head = part.head
         main = main_pair(head)
-        narrow = tuple(narrow_camera(lenses_of(head, eye)) for eye in EYES) if main else None
-        pairs = [pair for pair in dict.fromkeys([main, narrow]) if pair is not None]
-        for pair in pairs:
+        pairs = [main] if main else []
+        if main:
+            left, right = (narrow_camera(lenses_of(head, eye)) for eye in EYES)
+            pairs.append((left, right))
+        for pair in dict.fromkeys(pairs):
             errors = _transferred(part, observations, number == k, pair)
             pixels += errors.values()
             transferred |= errors.keys()  # a view may be seen by both pairs
