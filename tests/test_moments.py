@@ -14,9 +14,10 @@ from scipy.spatial.transform import Rotation
 from vergence.data.description import DatasetJoint, Description
 from vergence.errors import VergenceError
 from vergence.findings import Finding
+from vergence.geometry.board import Chessboard
 from vergence.geometry.kinematics import EYES, Side
 from vergence.geometry.se3 import inverse, pose
-from vergence.recordings.moments import Moments, check_stamps, find_moments
+from vergence.recordings.moments import Moments, check_readings, check_stamps, find_moments
 from vergence.recordings.readings import interpolate, needed_frames
 from vergence.recordings.recording import Channel, FramePose, Message, Recording
 from vergence.recordings.recording_map import CameraSource, PoseSource, RecordingMap, describe
@@ -195,3 +196,20 @@ def test_poses_of_eyes_come_from_a_tree_of_frames():
     assert needed_frames(recording, sources) == set(tracks)
     with pytest.raises(VergenceError, match="does not connect the frames base and ear"):
         needed_frames(recording, {side: PoseSource(base="base", eye="ear") for side in EYES})
+
+
+@pytest.mark.parametrize(
+    ("unit", "largest", "sentence"),
+    [
+        ("rad", 17.0, 'more than a turn; if they are in degrees, set its unit to "deg"'),
+        ("deg", 0.5, 'no eye turns by more than 1 degrees .* set their unit to "rad"'),
+    ],
+)
+def test_units_that_cannot_be_right_are_refused(unit, largest, sentence):
+    at = np.arange(30) * 33 * MS
+    found = scanned({"/l": at, "/r": at}, at, np.linspace(-largest, largest, 30))
+    joints = {name: DatasetJoint(column=name, unit=unit) for name in JOINTS}
+    stated = mapped(joints=joints, board=Chessboard(9, 6, 0.03))
+    moments, description = moments_of(found, stated)
+    with pytest.raises(VergenceError, match=sentence):
+        check_readings(moments, stated, description)

@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Literal
@@ -72,11 +73,12 @@ def _listed(source: Path, place: Path) -> Report:
         scanned = scan(recording, frames=(), progress=progress)
         text = "" if there else first_map(recording, scanned)
         channels = recording.channels
-    stamps = {channel: track.stamp_ns for (channel, _), track in scanned.joints.items()}
-    stamps |= {channel: track.stamp_ns for channel, track in scanned.images.items()}
+    stamps = {channel: set(track.stamp_ns.tolist()) for channel, track in scanned.images.items()}
+    for (channel, _), track in scanned.joints.items():  # a message may have some of the joints
+        stamps.setdefault(channel, set()).update(track.stamp_ns.tolist())
     rows = []
     for name, each in channels.items():
-        steps_s = sorted((stamps[name][1:] - stamps[name][:-1]) * 1e-9) if name in stamps else ()
+        steps_s = sorted((b - a) * 1e-9 for a, b in pairwise(sorted(stamps.get(name, ()))))
         rate = f"{1 / step:.3g}" if steps_s and (step := steps_s[len(steps_s) // 2]) > 0 else ""
         size = "x".join(map(str, scanned.images[name].size)) if name in scanned.images else ""
         gap = f"{steps_s[-1]:.3g}" if steps_s else ""

@@ -20,14 +20,14 @@ from vergence.data.images import to_8_bits
 from vergence.data.writer import DatasetRow, write_dataset
 from vergence.errors import VergenceError, counted
 from vergence.files import check_new
-from vergence.findings import Finding, note
+from vergence.findings import Finding
 from vergence.geometry.board import Board, described
 from vergence.progress import Progress, silent
 from vergence.recordings.board_placements import number_placements
 from vergence.recordings.formats import open_recording
 from vergence.recordings.frame_choice import ChosenFrames, choose_frames
 from vergence.recordings.moments import (
-    Moments,
+    check_readings,
     check_stamps,
     find_moments,
     read_images,
@@ -70,7 +70,7 @@ def import_recording(
         scanned, description = scan_mapped(recording, mapped, progress=progress)
         findings = check_stamps(scanned, mapped, description)
         moments = find_moments(scanned, mapped, description)
-        findings += _without_readings(moments, mapped)
+        findings += check_readings(moments, mapped, description)
         images_of = partial(read_images, recording, scanned, mapped, moments)
         board = description.board
         if board is None and mapped.frames.moving is None:  # all of them
@@ -94,6 +94,11 @@ def import_recording(
             moving &= ~few  # they serve as frames at rest
         else:
             rows, moving, placement = rows[~few], moving[~few], placement[~few]
+            if not len(rows):
+                raise VergenceError(
+                    f"No frame of {path} shows the board while head and board stand still; state "
+                    "such times in frames.rest of the map, or record pauses of a second."
+                )
 
         def frames() -> Iterator[DatasetRow]:
             for k, images in enumerate(images_of(rows)):
@@ -114,17 +119,6 @@ def import_recording(
         write_dataset(out, description, frames(), beside=beside)
     places = 0 if board is None else len(np.unique(placement))
     return ImportedRecording(len(rows), int(moving.sum()), places, findings)
-
-
-def _without_readings(moments: Moments, mapped: RecordingMap) -> tuple[Finding, ...]:
-    """Note images without readings; VergenceError if all are."""
-    sentence = (
-        f"{int((~moments.known).sum())} of {len(moments)} images have no joint readings around "
-        f"them within max_gap_s = {mapped.max_gap_s:g} s of the map"
-    )
-    if not moments.known.any():
-        raise VergenceError(f"{sentence}.")
-    return () if moments.known.all() else (note("no-readings", f"{sentence}; they were left out."),)
 
 
 def _too_few(time_ns: np.ndarray, moving: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.data.description import Description
 from vergence.errors import VergenceError, explain
-from vergence.findings import Finding, warning
+from vergence.findings import Finding, note, warning
 from vergence.progress import Progress, silent
 from vergence.recordings.readings import joint_track, needed_frames, postures
 from vergence.recordings.recording import Recording
@@ -29,6 +29,9 @@ WINDOW_NS = 200_000_000
 so that a reading of an eye at rest is of the same posture as the image."""
 APART_S = 1.0
 """Difference [s] of the times from stamp to receipt that no latency of a robot explains."""
+LEAST_TURN_RAD = 0.03
+"""Range of a reading that one of the eyes' joints exceeds [rad]: with less, the place of a camera
+in its eye cannot be found."""
 JITTER = 1.1
 """Factor on periods for stamps that vary, as those of USB cameras do."""
 
@@ -189,6 +192,34 @@ def check_stamps(
             )
             findings.append(warning("two-clocks", sentence, last))
     return tuple(findings)
+
+
+def check_readings(
+    moments: Moments, mapped: RecordingMap, description: Description
+) -> tuple[Finding, ...]:
+    """Note images without readings; VergenceError if all are, or a unit cannot be right."""
+    sentence = (
+        f"{int((~moments.known).sum())} of {len(moments)} images have no joint readings around "
+        f"them within max_gap_s = {mapped.max_gap_s:g} s of the map"
+    )
+    if not moments.known.any():
+        raise VergenceError(f"{sentence}.")
+    kinematics = description.head_kinematics
+    if moments.T_base_eye is None and len(kinematics.readings):
+        turns = moments.eye_angles[moments.known] * kinematics.gear_ratios
+        largest, ranges = np.abs(turns).max(axis=0), np.ptp(turns, axis=0)
+        if largest.max() > 2 * np.pi:
+            name = kinematics.readings[int(largest.argmax())]
+            raise VergenceError(
+                f"The readings of {name} turn an eye by {largest.max():.3g} rad, which is more "
+                'than a turn; if they are in degrees, set its unit to "deg" in the map.'
+            )
+        if description.board is not None and ranges.max() < LEAST_TURN_RAD:
+            raise VergenceError(
+                f"By the readings no eye turns by more than {np.degrees(ranges.max()):.2g} degrees "
+                'in the recording; if they are in radians, set their unit to "rad" in the map.'
+            )
+    return () if moments.known.all() else (note("no-readings", f"{sentence}; they were left out."),)
 
 
 def _join_at_rest(
