@@ -165,6 +165,17 @@ def shuffled(values: Array) -> Array:
     return np.random.default_rng(0).permutation(values)
 
 
+def as_text(first: int) -> Callable[[Array], Array]:
+    """Read values in the order of their numbers, with images in that of 1, 10, 2."""
+
+    def change(values: Array) -> Array:
+        by_number = np.empty_like(values)
+        by_number[sorted(range(len(values)), key=lambda row: str(row + first))] = values
+        return by_number
+
+    return change
+
+
 PLAIN, TILT, VERGENCE = "pan, tilt", "shared tilt, pan", "version and vergence"
 ROLL, NECK, TWO_TILTS = "pan, tilt, roll", "pair on a neck", "neck tilt, tilt, pan"
 DEG = np.degrees(1.0)
@@ -207,11 +218,13 @@ WRONG: list[tuple[str, Change, str]] = [
     # Rows.
     (PLAIN, rows(lambda each: np.roll(each, 1, axis=0)), "one row too late"),
     (TILT, rows(lambda each: np.roll(each, -1, axis=0)), "one row too early"),
+    (PLAIN, rows(as_text(0)), r"the images are sorted as text \(1, 10, 2\)\. They then fit"),
     (PLAIN, rows(shuffled), r"other moments or another eye.*view \d+ \(\d+ degrees\)"),
     # Measured poses.
     ("arm", poses(inverse), "they are inverted"),
     ("arm", rows(lambda each: np.roll(each, 1, axis=0)), "one row too late"),
     ("arm", rows(lambda each: np.roll(each, -1, axis=0)), "one row too early"),
+    ("arm", rows(as_text(1)), "the images are sorted as text"),
     ("arm", rows(shuffled), r"other moments or another eye.*view \d+ \(\d+ degrees\)"),
     ("arm", quaternions(1), "quaternions are in another order"),
     ("arm", quaternions(-1), "quaternions are in another order"),

@@ -341,15 +341,21 @@ def _orders_of_joints(evidence: Evidence, _: list[TurnFit]) -> Variants:
             yield what, replace(evidence, kinematics=kinematics)
 
 
-def _shifted_rows(evidence: Evidence, _: list[TurnFit]) -> Variants:
-    for by, when in ((-1, "late"), (1, "early")):
-        lost = slice(-1, None) if by < 0 else slice(1)
-        readings, T = np.roll(evidence.readings, by, axis=0), evidence.T_base_eye
-        readings[lost] = np.nan
-        if T is not None:
-            T = np.roll(T, by, axis=0)
-            T[lost] = np.nan
-        yield f"they stand one row too {when}", replace(evidence, readings=readings, T_base_eye=T)
+def _other_rows(evidence: Evidence, _: list[TurnFit]) -> Variants:
+    """Rows of other images: of the next ones, or of images that are sorted by names as text."""
+    count = len(evidence.readings)
+    rows, T = np.arange(count), evidence.T_base_eye
+    orders = [("they stand one row too late", rows + 1), ("they stand one row too early", rows - 1)]
+    for first in (0, 1):
+        as_text = sorted(rows, key=lambda row, first=first: str(row + first))
+        orders.append(("the images are sorted as text (1, 10, 2)", np.array(as_text)))
+    for what, order in orders:
+        lost = (order < 0) | (order >= count)
+        readings, poses = (x if x is None else x[order % count] for x in (evidence.readings, T))
+        for each in (readings, poses):
+            if each is not None:
+                each[lost] = np.nan
+        yield what, replace(evidence, readings=readings, T_base_eye=poses)
 
 
 def _other_poses(evidence: Evidence, _: list[TurnFit]) -> Variants:
@@ -402,9 +408,9 @@ MISTAKES: Mapping[str, tuple[Mistake, ...]] = {
         _exchanged_eyes,
         _units,
         _orders_of_joints,
-        _shifted_rows,
+        _other_rows,
     ),
-    "poses": (_exchanged_eyes, _lengths, _shifted_rows, _other_poses),
+    "poses": (_exchanged_eyes, _lengths, _other_rows, _other_poses),
 }
 """By what was read: the mistakes that can be undone."""
 LAST_RESORT: Mapping[str, tuple[Mistake, ...]] = {"readings": (_lost_readings,), "poses": ()}
