@@ -255,7 +255,7 @@ def test_the_guide_to_locating_points_runs(tmp_path, monkeypatch, capsys):
     for block in blocks("docs/locate.md"):
         if block.language == "python" and "SelfCalibrator" not in block.text:
             exec(compile(block.text, "locate.md", "exec"), names)
-            if "points, colours" not in block.text:
+            if "dense_depth" not in block.text:
                 located = names["points"]
     assert names["found"].depth_m.shape == names["left"].shape[:2] == (480, 640)
     assert not names["found"].textured.any()  # the images of the guide are black

@@ -146,7 +146,7 @@ def test_kalibr_and_ros_need_a_head_to_start_from(tmp_path):
 
 
 def test_a_format_that_does_not_exist_is_answered_with_those_that_do(tmp_path):
-    with pytest.raises(VergenceError, match="one of kalibr, ros, opencv, urdf; found 'foo'"):
+    with pytest.raises(VergenceError, match="one of kalibr, mrcal, ros, opencv, urdf; found 'foo'"):
         export_head(unskewed_head(14), tmp_path / "a", "foo")  # pyright: ignore[reportArgumentType]
     with pytest.raises(VergenceError, match="one of kalibr, ros, opencv; found 'urdf'"):
         import_head(tmp_path / "a", "urdf")  # pyright: ignore[reportArgumentType]

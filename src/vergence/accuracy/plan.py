@@ -41,7 +41,7 @@ CANDIDATES = (40, 12)
 """Places of the board that are tried, and directions of gaze at each."""
 FARTHEST_STD = 1 / 3
 """Largest standard deviation of a point, in distances: beyond, three of them reach from the eyes
-to infinity, and the covariance is none of a located point."""
+to infinity, and no covariance describes a located point."""
 
 
 @dataclass(frozen=True, eq=False)
