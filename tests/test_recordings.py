@@ -117,7 +117,8 @@ def test_the_page_s_commands_lead_to_points(robot, monkeypatch, capsys):
 
 
 def test_a_board_that_nobody_shows_is_named(tmp_path):
-    write_bag(tmp_path / "bag", messages(Session(np.zeros((1, 4)), np.eye(4)[None]), two_eyes()))
+    session = Session(np.outer([0, 0.2], np.ones(4)), np.tile(np.eye(4), (2, 1, 1)))
+    write_bag(tmp_path / "bag", messages(session, two_eyes()))
     (tmp_path / "map.toml").write_text(MAP)
     with pytest.raises(
         VergenceError, match=r"None of \d+ frames? of .* shows a chessboard of 7 x 6"
