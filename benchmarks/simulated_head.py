@@ -113,7 +113,12 @@ def skewed_head(rng: np.random.Generator, *, distorted: bool = True) -> HeadCali
     return replace(
         head,
         cameras={
-            name: replace(mounted, intrinsics=random_camera(rng, distorted=distorted))
+            name: replace(
+                mounted,
+                intrinsics=random_camera(
+                    rng, distorted=distorted, zoom=2.0 if name.endswith("narrow") else 1.0
+                ),
+            )
             for name, mounted in head.cameras.items()
         },
         neck=Neck(
@@ -156,9 +161,9 @@ def plain_head(
     )
 
 
-def random_camera(rng: np.random.Generator, *, distorted: bool = True) -> Camera:
+def random_camera(rng: np.random.Generator, *, distorted: bool = True, zoom: float = 1.0) -> Camera:
     """Return a camera with skew, a shifted principal point and, perhaps, distortion."""
-    focal = rng.uniform(250, 450)
+    focal = zoom * rng.uniform(250, 450)
     first = [focal, rng.normal(0, 1), 319.5 + rng.normal(0, 5)]
     second = [0, focal * rng.uniform(0.98, 1.02), 239.5 + rng.normal(0, 5)]
     k = np.array([rng.uniform(-0.15, 0.05), rng.uniform(0, 0.02), *rng.normal(0, 5e-4, 2), 0])

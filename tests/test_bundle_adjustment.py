@@ -193,7 +193,7 @@ def test_a_view_in_which_the_board_moved_is_named():
         corners[20] = (corners[20] - middle) @ turned + middle + [5, -8]
     found = bundle_adjust(start, observed, noise=NoiseModel(0.1, 1e-3))
     (said,) = texts(found.findings, "note")
-    assert re.match(r"View 20 was left out: .* and right_narrow cannot show the board as", said)
+    assert re.match(r"View 20 was left out: .* and right_wide cannot show the board as", said)
 
 
 def test_noise_that_is_given_may_be_far_below_the_errors_of_the_start():
