@@ -94,11 +94,11 @@ def import_recording(
             moving &= ~few  # they serve as frames at rest
         else:
             rows, moving, placement = rows[~few], moving[~few], placement[~few]
-            if not len(rows):
-                raise VergenceError(
-                    f"No frame of {path} shows the board while head and board stand still; state "
-                    "such times in frames.rest of the map, or record pauses of a second."
-                )
+        if not len(rows):
+            raise VergenceError(
+                f"No image of {path} can be used: name times at which head and board rest in "
+                "frames.rest of the map, or record pauses of a second."
+            )
 
         def frames() -> Iterator[DatasetRow]:
             for k, images in enumerate(images_of(rows)):
