@@ -8,6 +8,8 @@ import pytest
 from documents import commands, first
 from vergence import cli
 from vergence.twin.head_model import load_head_model
+from vergence.twin.model import compile_head
+from vergence.twin.renderer import overscan_sizes
 
 PAGE = "docs/own_head.md"
 
@@ -34,6 +36,19 @@ def test_the_description_of_the_page_describes_a_head(tmp_path):
     of = load_head_model(tmp_path / "head.toml")
     assert of.designed.cameras == {"left_camera": "l_eye", "right_camera": "r_eye"}
     assert of.designed.head.cameras["right_camera"].intrinsics.width == 640
+
+
+@pytest.mark.parametrize("kv", [0.0, 0.02])
+def test_servos_that_would_swing_are_replaced(tmp_path, kv: float):
+    names = [f"{eye}_{joint}" for eye in ("left", "right") for joint in ("pan", "tilt")]
+    servos = "".join(f'<position joint="{name}" kp="0.4" kv="{kv}"/>' for name in names)
+    model = first(PAGE, "xml").replace("</mujoco>", f"<actuator>{servos}</actuator></mujoco>")
+    (tmp_path / "eyes.xml").write_text(model)
+    of = load_head_model(tmp_path / "eyes.xml")
+    head = of.designed.head
+    compiled = compile_head(of, head, overscan_sizes(head))
+    assert (compiled.actuator_gainprm[:, 0] == 0.4).all() == (kv > 0)
+    assert (compiled.actuator_biasprm[:, 2] < 0).all()
 
 
 @pytest.mark.render

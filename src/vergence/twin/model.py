@@ -165,10 +165,13 @@ def _let_stand_still(spec: mujoco.MjSpec, of: HeadModel) -> None:
         if model.jnt_type[joint] != int(mujoco.mjtJoint.mjJNT_FREE):
             parent = body_pose(data, model.body(body.parentid[0]).name)
             _place(spec.body(body.name), inverse(parent) @ body_pose(data, body.name))
+    damped = {joint.name for joint in spec.joints if np.any(joint.damping)}
     servos = [
         actuator
         for actuator in spec.actuators
-        if actuator.target in moving and _is_position_servo(actuator)
+        if actuator.target in moving
+        and _is_position_servo(actuator)
+        and (actuator.biasprm[2] != 0 or actuator.target in damped)  # it comes to rest
     ]
     if {actuator.target for actuator in servos} != set(moving):
         servos = []  # weak ones beside the twin's would give way
