@@ -65,7 +65,7 @@ REFUSED = [
     ("budget --noise 0.1 --json=", f"The value after --json {EMPTY}"),
     ("export EMPTY --format ros --out r", f"The value after export {EMPTY}"),
     ("import a.yml --format opencv --start b.json --out c.json", "leave --start out"),
-    ("import nosuch --format opencv --out x.json", "Cannot read nosuch: No such file"),
+    ("import nosuch.yml --format opencv --out x.json", "Cannot read nosuch.yml: No such file"),
     # a command writes over what it reads
     ("plan data --json data/dataset.json", READ),
     ("design design.json --out .", READ),

@@ -317,7 +317,7 @@ def test_depth_of_the_twin_by_a_calibration_of_another_head_is_refused(
             monkeypatch, "--twin", "--calibration", str(tmp_path / "head.json"),
             "--out", str(tmp_path / "depth"),
         )  # fmt: skip
-    assert "of another head than the twin: its baseline is 92.0 mm" in capsys.readouterr().err
+    assert "baseline [mm] and focal lengths [px] are [ 92." in capsys.readouterr().err
     assert not (tmp_path / "depth").exists()
 
 
