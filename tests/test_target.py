@@ -9,7 +9,7 @@ import pytest
 from vergence.geometry.board import Chessboard, corner_points
 from vergence.geometry.camera import Camera, normalise, pinhole, project
 from vergence.geometry.se3 import inverse, pose, rotation, transform
-from vergence.vision.board_detection import detect_board
+from vergence.vision.board_detection import SEARCHED_PX, detect_board
 from vergence.vision.corner_refinement import curvatures
 
 BOARD = Chessboard(columns=9, rows=6, square_m=0.03)
@@ -147,3 +147,18 @@ def test_where_the_board_is_not_as_a_whole_it_is_not_found():
     for image in (away, noise, np.full((300, 360), 128, np.uint8)):
         assert detect_board(image, BOARD) is None
     assert detect_board(picture(POSES["facing"]), Chessboard(10, 7, 0.03)) is None
+
+
+def test_a_board_in_a_large_image_is_found_in_a_smaller_one_and_refined_in_the_whole():
+    image = picture(held((0.2, 0.3, 0.1), 0.5))
+    large = cv2.resize(image, None, fx=5, fy=5, interpolation=cv2.INTER_CUBIC)
+    assert large.size > SEARCHED_PX
+    small, found = detect_board(image, BOARD), detect_board(large, BOARD)
+    assert small is not None
+    assert found is not None
+    np.testing.assert_allclose((found + 0.5) / 5 - 0.5, small, rtol=0, atol=0.2)
+
+
+def test_an_image_without_contrast_is_not_searched(monkeypatch):
+    monkeypatch.setattr(cv2, "findChessboardCorners", None)  # would take a minute, and gigabytes
+    assert detect_board(np.full((2500, 20000), 7, np.uint8), BOARD) is None

@@ -23,7 +23,13 @@ from vergence.geometry.board import (
     marker_family,
 )
 from vergence.vision.april_grid import BORDER
-from vergence.vision.board_detection import detect_board, ends_inside, upsampled
+from vergence.vision.board_detection import (
+    detect_board,
+    ends_inside,
+    enlarged,
+    for_search,
+    upsampled,
+)
 from vergence.vision.board_pose import LEAST_CORNERS
 from vergence.vision.marker_layout import (
     MarkerPairs,
@@ -103,12 +109,13 @@ def _is_seen(grey: np.ndarray, board: Board) -> bool:
 
 def _largest_grid(grey: np.ndarray) -> np.ndarray | None:
     """Find the corners (rows, columns, 2) of the largest chessboard in an image."""
+    small, scale = for_search(grey)
     with suppress(cv2.error):
         found, corners, colours = cv2.findChessboardCornersSBWithMeta(
-            grey, (3, 3), flags=cv2.CALIB_CB_LARGER
+            small, (3, 3), flags=cv2.CALIB_CB_LARGER
         )
         if found and corners is not None and colours is not None:
-            return corners.reshape(*colours.shape[:2], 2).astype(float)
+            return enlarged(corners.reshape(*colours.shape[:2], 2).astype(float), scale)
     return None
 
 

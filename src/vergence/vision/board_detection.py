@@ -29,6 +29,13 @@ _CLEAR = 0.25
 """Least difference of a white or black grey level from the middle, over the contrast."""
 
 
+SEARCHED_PX = 2_500_000
+"""Largest image in which a chessboard is searched [pixels]: OpenCV's method by sectors takes up to
+340 bytes a pixel. Larger images are shrunk for the search, and corners are refined in them."""
+_FLAT = 10
+"""Range of grey levels of an image that shows no board: less than noise adds to an even wall."""
+
+
 def detect_board(image: np.ndarray, board: Board) -> Array | None:
     """Detect a board in an image (H, W) or (H, W, 3) uint8, RGB, and locate its inner corners.
 
@@ -40,6 +47,8 @@ def detect_board(image: np.ndarray, board: Board) -> Array | None:
     found; None where no board was detected.
     """
     grey = grey_levels(image)
+    if np.ptp(grey[::4, ::4]) < _FLAT:
+        return None
     if isinstance(board, Charuco):
         return _detect_charuco(grey, board)
     if isinstance(board, AprilGrid):
@@ -47,6 +56,19 @@ def detect_board(image: np.ndarray, board: Board) -> Array | None:
     if isinstance(board, CircleGrid):
         return detect_circle_grid(grey, board)
     return _detect_chessboard(grey, board)
+
+
+def for_search(grey: np.ndarray) -> tuple[np.ndarray, float]:
+    """Shrink an image to SEARCHED_PX if it is larger; return it and the factor."""
+    scale = min(1.0, float(np.sqrt(SEARCHED_PX / grey.size)))
+    if scale == 1:
+        return grey, scale
+    return cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), scale
+
+
+def enlarged(corners: np.ndarray, scale: float) -> np.ndarray:
+    """Convert pixels (N, ..., 2) of an image that was shrunk by a factor to those of the whole."""
+    return corners if scale == 1 else (corners + 0.5) / scale - 0.5
 
 
 def upsampled(grey: np.ndarray) -> tuple[np.ndarray, int]:
@@ -59,18 +81,18 @@ def upsampled(grey: np.ndarray) -> tuple[np.ndarray, int]:
 
 
 def _detect_chessboard(grey: np.ndarray, board: Chessboard) -> Array | None:
-    size = (board.columns, board.rows)
+    size, (small, scale) = (board.columns, board.rows), for_search(grey)
     # OpenCV's oldest method takes a twentieth of the time of the one by sectors, but misses every
     # tenth board and errs by more than a pixel at some corners of inclined ones.
-    found, corners = cv2.findChessboardCorners(grey, size, flags=0)
-    if found and contrast(grey, corners) > 30:  # grey levels, which the other method needs too
-        refined = _refine_chessboard(grey, corners, board)
+    found, corners = cv2.findChessboardCorners(small, size, flags=0)
+    if found and contrast(small, corners) > 30:  # grey levels, which the other method needs too
+        refined = _refine_chessboard(grey, enlarged(corners, scale), board)
         if refined is not None and np.isfinite(refined).all():
             return refined
     for flags in (0, cv2.CALIB_CB_ACCURACY):  # the latter finds more boards in three times as long
-        found, corners = cv2.findChessboardCornersSB(grey, size, flags=flags)
+        found, corners = cv2.findChessboardCornersSB(small, size, flags=flags)
         if found:
-            return _refine_chessboard(grey, corners, board)
+            return _refine_chessboard(grey, enlarged(corners, scale), board)
     return None
 
 
