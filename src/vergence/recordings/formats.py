@@ -30,6 +30,8 @@ def open_recording(path: Path | str, *, stamps: Stamps = "header") -> Iterator[R
     VergenceError if it is missing, damaged, or of an unknown format.
     """
     path = Path(path)
+    if path.suffix and not os.path.exists(path):  # an episode is no path of its own
+        raise VergenceError(f"There is no recording {path}.")
     for format in FORMATS:
         if format.recognise(path):
             with format.open_recording(path) as recording:
