@@ -142,6 +142,7 @@ def test_a_missing_column_is_named(folder, column):
     ("content", "sentence"),
     [
         (b"", "the column 'time_s' is missing; found "),
+        (b"\ntime_s\n", "the column 'time_s' is missing; found "),
         (b"time_s,time_s\n1,2\n", "the column 'time_s' is repeated"),
         (b"time_s;joint_time_s\n1;2\n", "named in the first line and separated by commas"),
         (b"time_s,\xff\n", "is not a CSV file"),

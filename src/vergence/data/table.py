@@ -93,7 +93,7 @@ def read_table(path: Path, known: Sequence[str], optional: Collection[str] = ())
     rows: dict[int, list[str]] = {}
     try:
         reader = csv.reader(StringIO(content.decode("utf-8-sig"), newline=""), strict=True)
-        header = [" ".join(name.split()) for name in next(reader, [""])]
+        header = [" ".join(name.split()) for name in next(reader, []) or [""]]
         for cells in reader:
             stripped = [*map(str.strip, cells)]
             if any(stripped):
