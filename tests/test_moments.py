@@ -17,6 +17,7 @@ from vergence.findings import Finding
 from vergence.geometry.board import Chessboard
 from vergence.geometry.kinematics import EYES, Side
 from vergence.geometry.se3 import inverse, pose
+from vergence.recordings.frame_choice import join_at_rest
 from vergence.recordings.moments import Moments, check_readings, check_stamps, find_moments
 from vergence.recordings.readings import interpolate, needed_frames
 from vergence.recordings.recording import Channel, FramePose, Message, Recording
@@ -90,20 +91,23 @@ def test_gaps_are_not_bridged_but_their_ends_are_known():
                                 max_gap_s=1)).any()  # fmt: skip
 
 
-def test_cameras_that_are_not_synchronised_share_moments_at_rest_only():
+@pytest.mark.parametrize("noise_rad", [0.0, 0.005])  # the larger of hobby servos
+def test_cameras_that_are_not_synchronised_share_moments_at_rest_only(noise_rad: float):
     at = np.arange(0, 4000) * MS
     angles = np.clip(at * 1e-9 - 1.0, 0, 1.0)  # at rest, one second of motion, at rest
     images = {"/l": np.arange(0, 3900, 100) * MS, "/r": np.arange(40, 3900, 100) * MS}
-    moments, _ = moments_of(scanned(images, at, angles), mapped())
+    noise = np.random.default_rng(1).normal(0, noise_rad, len(at))
+    moments = join_at_rest(moments_of(scanned(images, at, angles + noise), mapped())[0])
     both = (moments.images["left_wide"] >= 0) & (moments.images["right_wide"] >= 0)
     t = (moments.time_ns - START) * 1e-9
-    assert both[t < 0.9].all()
+    assert both[t < 0.7].all()  # up to a window before the motion
     assert both[t > 2.2].all()
     assert not both[(t > 1) & (t < 2)].any()
     assert (np.diff(moments.time_ns) > 0).all()
     for name, rows in moments.images.items():  # each image is used once
         assert sorted(rows[rows >= 0]) == list(range(len(images["/" + name[0]])))
-    np.testing.assert_allclose(moments.eye_angles[:, 0], np.clip(t - 1, 0, 1), atol=1e-9)
+    away = np.abs(moments.eye_angles[:, 0] - np.clip(t - 1, 0, 1)).max()
+    assert away < 1e-9 + 4 * noise_rad
 
 
 STEADY = np.arange(0, 3000, 100) * MS

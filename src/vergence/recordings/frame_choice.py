@@ -7,7 +7,7 @@ quietest part.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import studentized_range
@@ -28,6 +28,8 @@ UNSEEN_RAD, NOISIEST_RAD = 6e-4, 0.042
 STILL_PX = 0.3
 """Motion of images within scan.LAG_NS [px] that does not matter: at 1.5 px/s none is blurred, and a
 hand holds a board still."""
+JITTER = 1.1
+"""Factor on periods for stamps that vary, as those of USB cameras do."""
 MOST_MOVING = 300
 """Most moving frames: ten seconds at 30 Hz, by which an offset is known to a millisecond."""
 FASTEST_RAD_S = 1.0
@@ -71,6 +73,30 @@ def choose_frames(moments: Moments, stated: FrameChoice) -> ChosenFrames:
         moving = np.unique(moving[known[moving]])
     rows = np.union1d(np.array(rest, int), moving)
     return ChosenFrames(rows, np.isin(rows, moving))
+
+
+def join_at_rest(moments: Moments) -> Moments:
+    """Join moments of cameras that are not synchronised where the joints are at rest.
+
+    Images of one moment are then up to half a period of the images apart.
+    """
+    time_ns, images = moments.time_ns, {name: each.copy() for name, each in moments.images.items()}
+    change = {name: each.copy() for name, each in moments.change.items()}
+    periods = [np.diff(time_ns[rows >= 0]) for rows in images.values()]
+    reach_ns = 0.5 * JITTER * min(float(np.median(each)) if len(each) else 0.0 for each in periods)
+    motion = joint_motion(moments, np.zeros(len(moments), bool))
+    still = np.asarray((motion <= 1).all(axis=1))
+    kept, first = np.ones(len(moments), bool), 0
+    for k in range(1, len(moments)):
+        near = time_ns[k] - time_ns[first] <= reach_ns and still[first : k + 1].all()
+        if not near or any(rows[first] >= 0 and rows[k] >= 0 for rows in images.values()):
+            first = k
+            continue
+        for name, rows in images.items():
+            if rows[k] >= 0:
+                rows[first], change[name][first] = rows[k], change[name][k]
+        kept[k] = False
+    return replace(moments, images=images, change=change).take(kept)
 
 
 def seconds(moments: Moments) -> Array:

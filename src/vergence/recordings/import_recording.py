@@ -25,7 +25,7 @@ from vergence.geometry.board import Board, described
 from vergence.progress import Progress, silent
 from vergence.recordings.board_placements import number_placements
 from vergence.recordings.formats import open_recording
-from vergence.recordings.frame_choice import ChosenFrames, choose_frames
+from vergence.recordings.frame_choice import ChosenFrames, choose_frames, join_at_rest
 from vergence.recordings.moments import (
     check_readings,
     check_stamps,
@@ -71,6 +71,7 @@ def import_recording(
         findings = check_stamps(scanned, mapped, description)
         moments = find_moments(scanned, mapped, description)
         findings += check_readings(moments, mapped, description)
+        moments = join_at_rest(moments)
         images_of = partial(read_images, recording, scanned, mapped, moments)
         board = description.board
         if board is None and mapped.frames.moving is None:  # all of them

@@ -21,9 +21,6 @@ from vergence.recordings.scan import Scan, scan
 SYNC_S = 1e-3
 """Images of several cameras are of one moment if their stamps differ by at most this [s]; eyes that
 turn by 1 rad/s turn by 0.06 degrees meanwhile."""
-STILL = 2e-3
-"""Largest change of a reading [rad], or an element of a pose, between successive moments at rest:
-that of an encoder with steps of 0.1 degrees."""
 WINDOW_NS = 200_000_000
 """Time before and after a moment in which all stands still [ns]: the largest latency of readings,
 so that a reading of an eye at rest is of the same posture as the image."""
@@ -32,9 +29,6 @@ APART_S = 1.0
 LEAST_TURN_RAD = 0.03
 """Range of a reading that one of the eyes' joints exceeds [rad]: with less, the place of a camera
 in its eye cannot be found."""
-JITTER = 1.1
-"""Factor on periods for stamps that vary, as those of USB cameras do."""
-
 JOINED_NS = 10**9
 """Images received within this time [ns] are read in one go: to seek takes as long as to read on for
 some tenths of a second."""
@@ -57,7 +51,6 @@ class Moments:
     T_base_eye: Array | None = None
     """(N, 2, 4, 4) measured poses of the left and the right eye in their bases [m], NaN where not
     known, the identity for an eye without cameras; None where joints are read instead."""
-
     around: Array | None = None
     """(4, N, s) elements of the posture within WINDOW_NS before and after; NaN where unknown. None:
     only the moments are known."""
@@ -73,6 +66,18 @@ class Moments:
     def elements(self) -> Array:
         """What is read of the eyes, or the elements of their poses, and of the neck (N, s)."""
         return _elements(self.eye_angles, self.neck_angles, self.T_base_eye)
+
+    def take(self, rows: np.ndarray) -> Moments:
+        """Select moments by index or by a mask."""
+        return Moments(
+            time_ns=self.time_ns[rows],
+            images={name: each[rows] for name, each in self.images.items()},
+            change={name: each[rows] for name, each in self.change.items()},
+            eye_angles=self.eye_angles[rows],
+            neck_angles=self.neck_angles[rows],
+            T_base_eye=None if self.T_base_eye is None else self.T_base_eye[rows],
+            around=None if self.around is None else self.around[:, rows],
+        )
 
     def __len__(self) -> int:
         return len(self.time_ns)
@@ -112,8 +117,7 @@ def scan_mapped(
 def find_moments(scanned: Scan, mapped: RecordingMap, description: Description) -> Moments:
     """Group images of all cameras by their stamps, and interpolate the readings.
 
-    Cameras need not be synchronised: where the joints are at rest, images of one moment are up to
-    half a period of the images apart. Of images of one camera with one stamp the first counts.
+    Of images of one camera with one stamp the first counts.
     """
     tracks = {name: scanned.images[source.images] for name, source in mapped.cameras.items()}
     every = np.sort(np.concatenate([track.stamp_ns for track in tracks.values()]))
@@ -125,28 +129,15 @@ def find_moments(scanned: Scan, mapped: RecordingMap, description: Description) 
         images[name] = np.full(len(time_ns), -1)
         images[name][rows] = first
     eye_angles, neck_angles, T_base_eye = postures(scanned, mapped, description, time_ns)
-    posture = _elements(eye_angles, neck_angles, T_base_eye)
     around = np.stack([
         _elements(*postures(scanned, mapped, description, time_ns + round(part * WINDOW_NS)))
         for part in (-1.0, -0.5, 0.5, 1.0)
     ])  # fmt: skip
-    steps = [np.diff(np.unique(track.stamp_ns)) for track in tracks.values()]
-    period_ns = min(float(np.median(each)) if len(each) else 0.0 for each in steps)
-    kept = _join_at_rest(time_ns, images, posture, period_ns)
-    images = {name: rows[kept] for name, rows in images.items()}
     change = {
         name: np.where(rows >= 0, tracks[name].change[rows], np.nan)
         for name, rows in images.items()
     }
-    return Moments(
-        time_ns=time_ns[kept],
-        images=images,
-        change=change,
-        eye_angles=eye_angles[kept],
-        neck_angles=neck_angles[kept],
-        T_base_eye=None if T_base_eye is None else T_base_eye[kept],
-        around=around[:, kept],
-    )
+    return Moments(time_ns, images, change, eye_angles, neck_angles, T_base_eye, around)
 
 
 def _elements(eye_angles: Array, neck_angles: Array, T_base_eye: Array | None) -> Array:
@@ -220,30 +211,6 @@ def check_readings(
                 'in the recording; if they are in radians, set their unit to "rad" in the map.'
             )
     return () if moments.known.all() else (note("no-readings", f"{sentence}; they were left out."),)
-
-
-def _join_at_rest(
-    time_ns: np.ndarray, images: Mapping[str, np.ndarray], posture: Array, period_ns: float
-) -> np.ndarray:
-    """Move images (N,) by camera into an earlier moment where nothing moves in between.
-
-    Returns (N,) of bool: which moments keep images.
-    """
-    still = np.abs(np.diff(posture, axis=0)).max(axis=1, initial=0.0) <= STILL
-    still = np.concatenate([[True], still, [True]])  # before and after each moment
-    kept, first = np.ones(len(time_ns), bool), 0
-    for k in range(1, len(time_ns)):
-        near = time_ns[k] - time_ns[first] <= 0.5 * JITTER * period_ns
-        both = any(rows[first] >= 0 and rows[k] >= 0 for rows in images.values())
-        # At rest before and after as well, since the eyes may have begun to move.
-        if both or not near or not still[first : k + 2].all():
-            first = k
-            continue
-        for rows in images.values():
-            if rows[k] >= 0:
-                rows[first], rows[k] = rows[k], -1
-        kept[k] = False
-    return kept
 
 
 def read_images(
