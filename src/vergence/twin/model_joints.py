@@ -79,14 +79,14 @@ def model_chain(model: mujoco.MjModel, base: str, end: str, moving: Iterable[str
     for joint in joints:
         if not is_hinge(model, joint):
             raise VergenceError(f"The joint {joint} of a head is a hinge; it is of another kind.")
-    data, digits = at_rest(model, moving), 17 if base == "world" else DIGITS
+    data = at_rest(model, moving)
     T = inverse(body_pose(data, base))
     axes = [T[:3, :3] @ data.joint(joint).xaxis for joint in joints]
     points = [transform(T, data.joint(joint).xanchor) for joint in joints]
     T_base_end = T @ body_pose(data, end)
-    T_base_end[:3, 3] = np.round(T_base_end[:3, 3], digits) + 0.0
-    rounded = np.round(np.reshape(points, (-1, 3)), digits) + 0.0
-    return ModelChain(tuple(joints), np.reshape(axes, (-1, 3)), rounded, T_base_end)
+    T_base_end[:3, 3] = np.round(T_base_end[:3, 3], DIGITS) + 0.0
+    points_m = np.round(np.reshape(points, (-1, 3)), DIGITS) + 0.0
+    return ModelChain(tuple(joints), np.reshape(axes, (-1, 3)), points_m, T_base_end)
 
 
 class Readings(NamedTuple):
@@ -127,9 +127,9 @@ def model_readings(model: mujoco.MjModel, joints: Sequence[str]) -> Readings:
         if np.linalg.matrix_rank(dense[[*kept, k]]) > len(kept):
             kept.append(k)
     n = sum(k < len(relations) for k in kept)
-    inverse = np.linalg.inv(dense[kept])[: len(joints)]
-    offset = inverse[:, :n] @ np.array([relations[k][1] for k in kept[:n]])
-    mixing = np.round(inverse[:, n:], DIGITS) + 0.0
+    solution = np.linalg.inv(dense[kept])[: len(joints)]
+    offset = solution[:, :n] @ np.array([relations[k][1] for k in kept[:n]])
+    mixing = np.round(solution[:, n:], DIGITS) + 0.0
     used = [r for r in range(mixing.shape[1]) if mixing[:, r].any()]
     used.sort(key=lambda r: (np.flatnonzero(mixing[:, r])[0], r))
     names = tuple(candidates[kept[n + r] - len(relations)][0] for r in used)
