@@ -71,7 +71,6 @@ def record(
     scene: Scene = "room",
     seed: int = 0,
     frames: int = 60,
-    lens: str | None = None,
     target: Target = "chessboard",
     moving: int = 0,
     head: HeadModel | None = None,
@@ -81,9 +80,9 @@ def record(
     """Record a dataset with its truth into a new or empty folder; return the number of images.
 
     `frames` are taken with the eyes at rest. `moving` frames follow, at RATE_HZ, with moving eyes
-    and the board at rest. `head` is one that `load_head_model` reads; None: the default one, with
-    one of its lenses. `bag` asks for a bag with the same images in the folder. VergenceError if an
-    argument is out of range, or the folder cannot be written.
+    and the board at rest. `head` is one that `load_head_model` reads; None: the default one.
+    `bag` asks for a bag with the same images in the folder. VergenceError if an argument is out of
+    range, or the folder cannot be written.
     """
     if not LEAST_FRAMES <= frames <= MOST_FRAMES:
         raise VergenceError(
@@ -95,7 +94,7 @@ def record(
         )
     check_new(out)
     board: Board = CHARUCO if target == "charuco" else BOARD
-    head = load_head_model(lens=lens) if head is None else head
+    head = load_head_model() if head is None else head
     with_lens = f"{head.lens} lens" if head.lens else head.stated.model
     note = f"Recorded on the twin: profile {profile.name}, {with_lens}, seed {seed}."
     description = _description(head.designed.head, board_as_given(profile, board), note)
