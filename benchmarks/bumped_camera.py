@@ -88,7 +88,7 @@ def rendered_bumps(seed: int) -> None:
     for lens in get_args(Lens):
         with Twin(profile, seed=seed, lens=lens) as twin:
             found = paper_calibration(twin, seed)
-            head = inject_calibration_error(found.head, profile.by_hand, lens)
+            head = inject_calibration_error(found.head, profile.by_hand)
             first = initial_state(head, changed="nothing")
             pair = first.cameras
             frames = [

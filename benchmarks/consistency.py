@@ -54,7 +54,7 @@ def measure(folder: Path, profile: ErrorProfile, seed: int, samples: int) -> Non
             if not used.exists():
                 found = paper_calibration(twin, seed)
                 save_head(twin.truth, folder / f"truth-{lens}.json")
-                save_head(inject_calibration_error(found.head, profile.by_hand, lens), used)
+                save_head(inject_calibration_error(found.head, profile.by_hand), used)
             for figure in missing:
                 times = random_times(figure, samples, seed)
                 true: list[tuple[Array, Array]] = []

@@ -210,7 +210,7 @@ def main(figures: tuple[int, ...] = (6, 8, 9, 10, 11), samples: int = 40, seed: 
             continue
         with Twin(profile, seed=seed, lens=lens) as twin:
             calibrated = paper_calibration(twin, seed).head
-            head = inject_calibration_error(calibrated, profile.by_hand, lens)
+            head = inject_calibration_error(calibrated, profile.by_hand)
             learned = learn_by_looking(twin, before_looking(head), run=100).state
             state = initial_state(head, changed="nothing")
             ways = WAYS | {"near chessboard": _chessboard(twin.truth)}

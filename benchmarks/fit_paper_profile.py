@@ -71,7 +71,7 @@ def run(profile: ErrorProfile, plans: Plans, seed: int) -> tuple[Array, Array]:
         rng = np.random.default_rng([seed, 9])
         truth = as_built_head(nominal, profile, seed)
         views = simulate_views(truth, profile, shots, pixel_noise=CORNER_NOISE_PX, rng=rng)
-        head = inject_calibration_error(calibrate_sequentially(views).head, profile.by_hand, lens)
+        head = inject_calibration_error(calibrate_sequentially(views).head, profile.by_hand)
         for row, figure in enumerate(FIGURES.values()):
             if figure.lens != lens:
                 continue

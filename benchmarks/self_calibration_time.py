@@ -54,7 +54,7 @@ def main(pairs: int = 40, scene: Scene = "room", seed: int = 0) -> None:
     profile, lens = load_profile("paper"), "2.8mm"
     with Twin(profile, seed=seed, lens=lens, scene=scene) as twin:
         head = paper_calibration(twin, seed).head
-        state = initial_state(inject_calibration_error(head, profile.by_hand, lens))
+        state = initial_state(inject_calibration_error(head, profile.by_hand))
         twin.restart(0)
         cameras = [state.head.camera(name).intrinsics for name in state.cameras]
         for k in range(pairs):

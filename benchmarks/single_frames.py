@@ -100,7 +100,7 @@ def main(
     for seed in range(heads):
         with Twin(profile, seed=seed, lens=lens) as twin:
             calibrated = paper_calibration(twin, seed).head
-            head = inject_calibration_error(calibrated, profile.by_hand, lens)
+            head = inject_calibration_error(calibrated, profile.by_hand)
             priors = [less_certain(head, each) for each in factors]
             states = [initial_state(each, changed="nothing") for each in priors]
             found.append(distances(twin, states))

@@ -294,7 +294,7 @@ def test_a_calibration_of_another_head_is_not_the_twins():
 
     twin = built("paper")
     by_hand = load_profile("paper").by_hand.model_copy(update={"focal_percent_28": 5.0})
-    check_calibration_of(twin, inject_calibration_error(twin, by_hand, "2.8mm"))
+    check_calibration_of(twin, inject_calibration_error(twin, by_hand))
     check_calibration_of(built("noise-only"), nominal_head("2.8mm"))
     renamed = {name.replace("wide", "outer"): camera for name, camera in twin.cameras.items()}
     for other, said in (

@@ -47,7 +47,7 @@ def run(figure: Figure, profile: ErrorProfile = PERFECT, pixel_noise: float = 0.
     measurements = observe_points(
         truth, profile, figure, times, pixel_noise=pixel_noise, rng=np.random.default_rng(6)
     )
-    believed = inject_calibration_error(truth, profile.by_hand, figure.lens)
+    believed = inject_calibration_error(truth, profile.by_hand)
     return estimate(believed, figure, measurements)
 
 
@@ -112,7 +112,7 @@ def test_without_an_error_every_sample_is_exact(number: int):
 def test_by_hand_errors_leave_straight_gaze_exact():
     """Eq. 10 is computed again from the wrong values: theta = 0 stays as it was calibrated."""
     truth = table_head(FIGURES[6])
-    wrong = inject_calibration_error(truth, ByHand(roll_deg=1, axial_mm=5), "2.8mm")
+    wrong = inject_calibration_error(truth, ByHand(roll_deg=1, axial_mm=5))
 
     def stereo(head: HeadCalibration) -> np.ndarray:
         left, right = (

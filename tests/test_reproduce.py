@@ -46,7 +46,7 @@ def point_level(profile_name: str, seed: int) -> tuple[np.ndarray, np.ndarray]:
         truth = as_built_head(nominal_head(lens), profile, seed)
         rng = np.random.default_rng(seed)
         views = simulate_views(truth, profile, planned(lens, seed), pixel_noise=0.035, rng=rng)
-        head = inject_calibration_error(calibrate_sequentially(views).head, profile.by_hand, lens)
+        head = inject_calibration_error(calibrate_sequentially(views).head, profile.by_hand)
         for figure in FIGURES.values():
             if figure.lens == lens:
                 times = sample_times(figure, None, None)

@@ -169,7 +169,7 @@ def _prepare(
         found = paper_calibration(
             twin, settings.seed, progress=lambda _, done, total: progress(task, done, total)
         )
-        head = inject_calibration_error(found.head, settings.profile.by_hand, lens)
+        head = inject_calibration_error(found.head, settings.profile.by_hand)
         learning = None
         if settings.compare or settings.floor or settings.method != "paper":
             learning = learn_by_looking(

@@ -16,6 +16,8 @@ from vergence.stereo.extrinsics import rebase, relative_camera_pose
 from vergence.twin.profile import ByHand, ErrorProfile
 from vergence.twin.sensors import with_sensors
 
+BETWEEN_LENSES_PX = 340.0
+"""Focal length [px] midway between those of the 2.8 mm and 4.0 mm lenses, 280 and 400 px."""
 OBJECT_NOISE_PX = 0.02
 """Noise of the centre of the twin's sphere [px]; rms over Figs. 6-11 with the profile `ideal`."""
 BY_HAND = {
@@ -24,17 +26,14 @@ BY_HAND = {
 }
 
 
-def inject_calibration_error(
-    calibration: HeadCalibration, by_hand: ByHand, lens: str
-) -> HeadCalibration:
+def inject_calibration_error(calibration: HeadCalibration, by_hand: ByHand) -> HeadCalibration:
     """Add errors to the main cameras of a calibration; straight gaze stays exact (Eq. 10).
 
     T_rbase_lbase is recomputed by Eq. 10, so that T_rcam_lcam at zero joint angles stays the same.
-    The lens selects the error of the focal length.
     """
     if by_hand == ByHand():
         return calibration
-    focal = by_hand.focal_percent_28 if lens == "2.8mm" else by_hand.focal_percent_40
+    focal = getattr(by_hand, _focal_error(calibration))
     cameras, pair = dict(calibration.cameras), pair_names(calibration)
     for name, sign in zip(pair, (1, -1), strict=True):
         mounted = calibration.camera(name)
@@ -49,6 +48,12 @@ def inject_calibration_error(
     straight = straight_gaze(calibration.kinematics)
     T = relative_camera_pose(calibration, straight, cameras=pair)
     return rebase(replace(calibration, cameras=cameras), T, joints=straight, cameras=pair)
+
+
+def _focal_error(head: HeadCalibration) -> str:
+    """Select the field of `ByHand` for the focal length of the main cameras."""
+    focal_px = head.camera(pair_names(head)[0]).intrinsics.matrix[0, 0]
+    return "focal_percent_40" if focal_px > BETWEEN_LENSES_PX else "focal_percent_28"
 
 
 def profile_sources(
@@ -80,13 +85,10 @@ def profile_sources(
         errors["gains of the joints"] = {n: e for n, e in change.items() if is_gain(n)}
     if TIME_OFFSET not in estimated:
         errors["delay"] = {TIME_OFFSET: -1e-3 * joints.delay_ms}
-    focal_px = head.camera(pair_names(head)[0]).intrinsics.matrix[0, 0]
-    lens = "4.0mm" if focal_px > 340 else "2.8mm"
-    of_lens = "focal_percent_40" if lens == "4.0mm" else "focal_percent_28"
-    for name, title in {of_lens: "focal lengths, by hand", **BY_HAND}.items():
+    for name, title in {_focal_error(head): "focal lengths, by hand", **BY_HAND}.items():
         if value := getattr(profile.by_hand, name):
             alone = type(profile.by_hand)(**{name: value})
-            errors[title] = boxminus(inject_calibration_error(head, alone, lens), head)
+            errors[title] = boxminus(inject_calibration_error(head, alone), head)
     for title, change in errors.items():
         nonzero = {name: error for name, error in change.items() if abs(error) > 1e-15}
         if nonzero:

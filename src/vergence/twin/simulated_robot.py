@@ -49,7 +49,7 @@ def calibrate_twin(twin: Twin, seed: int, progress: Progress = silent) -> GazeSe
     found = paper_calibration(
         twin, seed, progress=lambda _, done, total: progress(task, done, total)
     )
-    head = inject_calibration_error(found.head, twin.profile.by_hand, lens)
+    head = inject_calibration_error(found.head, twin.profile.by_hand)
     twin.restart(0)
     # A real driver can measure this too: the standard deviation of the readings at rest. Thirty of
     # each joint tell it to 7 to 13 %.
