@@ -303,7 +303,7 @@ def test_a_calibration_of_another_head_is_not_the_twins():
         (replace(twin, cameras=renamed), "it has left_outer, "),
         (replace(twin, kinematics=Kinematics(readings=EYE_JOINTS[::-1])), "moved by right_tilt"),
     ):
-        with pytest.raises(VergenceError, match=f"{said}.* the --profile and the --seed"):
+        with pytest.raises(VergenceError, match=f"{said}.* the --head, --profile and --seed"):
             check_calibration_of(twin, other)
 
 

@@ -112,7 +112,7 @@ def targets(
         if (good := free(where)).all():
             return where
         where[~good] = draw(int((~good).sum()))
-    raise VergenceError("This head can hardly turn to any place before it; see its limits.")
+    raise VergenceError("This head reaches too few places in front of it; see its limits.")
 
 
 def run_trial(

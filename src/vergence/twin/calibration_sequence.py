@@ -46,7 +46,7 @@ NARROW_VIEWS = 12
 ORIENTATIONS = 60
 """Eye orientations at which the board at rest is seen, for hand-eye calibration."""
 IN_VIEW = 0.6
-"""Share of images of the board at rest that show all of it, from which its place is good enough."""
+"""Share of the images of a board at rest that have to show all of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +140,7 @@ def other_cameras(head: HeadCalibration) -> list[str]:
 def within(ranges: Array, readings: Array, amplitude: Array) -> Array:
     """Move and scale readings (..., r) that swing about zero into ranges (r, 2) [rad].
 
-    The amplitudes (r,) [rad] say how far. Readings that fit are left as they are.
+    `amplitude` (r,) is that of the swing [rad]. Readings that fit are left as they are.
     """
     lower, upper = ranges.T
     fits = np.minimum(amplitude, (upper - lower) / 2)

@@ -38,7 +38,10 @@ class SimulatedHand:
     """The driver of the simulated hand; `true_point` is for evaluation only."""
 
     def __init__(self, twin: Twin, home: Array, T_body_arm: Array):
-        """Put the hand at a position (3,) [m] in frame body, by the encoders of a displaced arm."""
+        """Put the hand at its home position (3,) [m] in frame body, by its encoders.
+
+        T_body_arm is the true pose (4, 4) of the arm relative to its assumed one.
+        """
         self._twin, self._T_body_arm = twin, T_body_arm
         self._position, self._velocity = np.array(home, float), np.zeros(3)
         self._opening_m, self._time_s = OPEN_M, twin.time_s

@@ -25,9 +25,8 @@ from vergence.twin.model_joints import (
     model_readings,
 )
 
-EYE_JOINTS, NECK_JOINTS = 2, 3
-"""Fewest joints of an eye, where there are as many, and most joints of a neck; those before it are
-the body's."""
+MIN_EYE_JOINTS, MAX_NECK_JOINTS = 2, 3
+"""Minimum number of joints of an eye, if the model has so many, and maximum of a neck."""
 APART_M = 0.01
 """Distance across the head from which cameras are of two eyes [m]."""
 USUAL_FOV_DEG = 60.0
@@ -43,9 +42,9 @@ OPTICAL = CameraFile(forward=np.array([0.0, 0.0, 1.0]), up=np.array([0.0, -1.0, 
 def completed(stated: HeadFile, model: mujoco.MjModel) -> HeadFile:
     """Fill in from a compiled model what a description leaves open.
 
-    An eye has its own joints and, if these are fewer than EYE_JOINTS, shared ones before them; the
-    base is the body before, and independent hinges before it are the neck. KeyError of MuJoCo for
-    a part that the model does not have; VergenceError if eyes are not found.
+    An eye has its own joints and, if these are fewer than MIN_EYE_JOINTS, shared ones before them;
+    the base is the body before, and independent hinges before it are the neck. KeyError of MuJoCo
+    for a part that the model does not have; VergenceError if eyes are not found.
     """
     for joint in (*stated.joints, *(stated.neck or ()), *sum(stated.eyes.values(), ())):
         model.joint(joint)
@@ -56,7 +55,7 @@ def completed(stated: HeadFile, model: mujoco.MjModel) -> HeadFile:
     base = stated.base
     if not base:
         own = min(len(path) for path in paths.values()) - len(shared)
-        taken = min(len(shared), max(0, EYE_JOINTS - own))
+        taken = min(len(shared), max(0, MIN_EYE_JOINTS - own))
         first = {path[len(shared) - taken :][0] for path in paths.values()}
         first = {joints[0] for joints in stated.eyes.values() if joints} or first
         before = [ancestors(model, int(model.joint(joint).bodyid[0]))[:-1] for joint in first]
@@ -87,7 +86,7 @@ def completed(stated: HeadFile, model: mujoco.MjModel) -> HeadFile:
         "up": up,
         "cameras": {n: c.model_copy(update={"eye": sides[n]}) for n, c in cameras.items()},
         "eyes": eyes,
-        "neck": tuple(free[-NECK_JOINTS:]) if stated.neck is None else stated.neck,
+        "neck": tuple(free[-MAX_NECK_JOINTS:]) if stated.neck is None else stated.neck,
     }
     return stated.model_copy(update=update)
 

@@ -23,7 +23,7 @@ from vergence.twin.profile import ErrorProfile
 from vergence.twin.scene import Scene, load_room
 
 PREFIX = "head/"
-"""Of what the head has in the model of head and room, where the room has something of its name."""
+"""Prefix of the names of the head's parts that the room has too."""
 EYES_AT_M = np.array([0.0, 0.0, 1.2])
 """Where frame head is in the room with the neck at zero."""
 SERVO_RAD_S = 500.0
@@ -289,8 +289,8 @@ def check_calibration_of(truth: HeadCalibration, calibration: HeadCalibration) -
             return
         found = f"baseline [mm] and focal lengths [px] are {ours.round(1)}, not {twins.round(1)}"
     raise VergenceError(
-        f"This calibration is of another head than the twin: {found}. Give the --profile and "
-        "the --seed with which its dataset was recorded, with 2.8 mm lenses."
+        f"This calibration is of another head than the twin: {found}. Give the --head, "
+        "--profile and --seed with which its dataset was recorded, with the head's first lens."
     )
 
 
