@@ -4,10 +4,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 
-from recordings import texture
+from recordings import picture
 from vergence.arrays import Array
 from vergence.geometry.board import Chessboard
 from vergence.geometry.camera import pinhole
@@ -120,14 +119,7 @@ def draw(head: HeadCalibration, camera: str, angles: Array, T_lbase_target: Arra
     T_lbase_base = np.eye(4) if mounted.eye == "left" else inverse(head.T_rbase_lbase)
     T = inverse(T_lbase_base @ camera_pose_in_base(head, camera, angles)) @ T_lbase_target
     H = mounted.intrinsics.matrix @ T[:3, [0, 1, 3]] @ np.diag([BOARD.square_m] * 2 + [1])
-    scale, fine = 1 / 40, 3
-    T_texel = np.array([[scale, 0, scale / 2 - 1.5], [0, scale, scale / 2 - 1.5], [0, 0, 1]])
-    enlarge = np.array([[fine, 0, (fine - 1) / 2], [0, fine, (fine - 1) / 2], [0, 0, 1.0]])
-    large = cv2.warpPerspective(
-        texture(BOARD), enlarge @ H @ T_texel, (SIZE[0] * fine, SIZE[1] * fine), borderValue=120
-    )
-    image = cv2.resize(large, SIZE, interpolation=cv2.INTER_AREA)
-    return cv2.GaussianBlur(image, (0, 0), 0.5)
+    return picture(BOARD, H, SIZE)[0]
 
 
 def messages(

@@ -27,7 +27,7 @@ from vergence.recordings.scan import scan
 
 Change = Callable[[Path], object]
 MOST_S, MOST_BYTES = 10, 10**9
-"""As the documents promise."""
+"""Limits of processor time [s] for each bag, and of resident memory [bytes]."""
 
 
 def refusal(path: Path) -> str:
@@ -222,7 +222,8 @@ from pathlib import Path
 from vergence.errors import VergenceError
 from vergence.recordings.formats import open_recording
 from vergence.recordings.scan import scan
-for path in sys.argv[1:]:
+most_s, *paths = sys.argv[1:]
+for path in paths:
     began = time.process_time()
     try:
         with open_recording(path) as recording:
@@ -230,7 +231,7 @@ for path in sys.argv[1:]:
         print("read", path)
     except VergenceError as error:
         print("refused", error)
-    assert time.process_time() - began < 10
+    assert time.process_time() - began < float(most_s)
 # The usage by `resource` begins with that of the process that started this one.
 print(next(l.split()[1] for l in open("/proc/self/status") if l.startswith("VmHWM")))
 """
@@ -241,7 +242,10 @@ print(next(l.split()[1] for l in open("/proc/self/status") if l.startswith("VmHW
 def test_bags_that_lie_about_sizes_are_refused_within_memory(tmp_path: Path):
     paths = lies(tmp_path)
     done = subprocess.run(
-        [sys.executable, "-c", READ, *map(str, paths)], capture_output=True, text=True, check=False
+        [sys.executable, "-c", READ, *map(str, [MOST_S, *paths])],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == 0, done.stderr
     *sentences, peak_kb = done.stdout.splitlines()

@@ -22,8 +22,6 @@ from vergence.data.reader import load_dataset
 from vergence.errors import VergenceError
 from vergence.geometry.kinematics import EYE_JOINTS
 
-MATRIX = [[20, 0, 15], [0, 20, 11], [0, 0, 1]]
-
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:

@@ -17,7 +17,8 @@ from written_recordings import (
     write_yarp,
 )
 
-MUTATIONS = 12  # of each file; several thousand were tried once
+MUTATIONS = 12
+"""Damaged copies of each file; more take too long."""
 
 
 @pytest.fixture(scope="module")

@@ -161,7 +161,7 @@ def write_lerobot(folder: Path, version: str, *, videos: bool, episodes: int = 3
 
 
 def contents(path: Path, *names: str) -> list[tuple[Message, Content]]:
-    """Read channels of a recording, None: all that can be used."""
+    """Read channels of a recording; without names all that can be used."""
     with open_recording(path) as recording:
         chosen = names or [n for n, each in recording.channels.items() if each.kind != "other"]
         return [(each, each.decode()) for each in recording.read(chosen, None, None)]
