@@ -450,7 +450,7 @@ def _best(evidence: Evidence, table: tuple[Mistake, ...]) -> tuple[str, Evidence
     tried = [each for each in tried if each[0] > best - np.log(ALIKE)]
     upright = max(each[1] for each in tried)
     tried = [each for each in tried if each[1] > upright - UPRIGHT]
-    return ", or ".join(what for *_, what, _ in tried), tried[0][3]
+    return ", or ".join(dict.fromkeys(what for *_, what, _ in tried)), tried[0][3]
 
 
 def _unchanged(a: Evidence, b: Evidence, k: int) -> bool:
