@@ -245,8 +245,7 @@ def motion_budgets(
     """Compute the budgets of points (K, 3) [m] in the left eye's base frame; see `budget`.
 
     The motion is parallel, divergent, or the folder of a dataset. VergenceError also if there is
-    no source, or the head was calibrated with measured
-    poses.
+    no source, or the head was calibrated with measured poses.
     """
     if head.accuracy is not None and head.accuracy.eye_motion == "poses":
         raise VergenceError(

@@ -175,9 +175,9 @@ def lens_priors(lens: Camera, free: bool, camera: str | None = None) -> list[Len
 
 
 def known_lens_std(lens: Camera, percent: float) -> Array:
-    """Compute the deviations (n,) of intrinsics of which the focal length is known to a percentage.
+    """Compute the deviations (n,) of intrinsics whose focal lengths are known to a percentage.
 
-    The others displace the image's edge or corner by as much of its distance.
+    Errors of one deviation in the others displace the image's edge or corner by the same share.
     """
     K, reach = lens.matrix, np.hypot(lens.width, lens.height) / 2 / lens.matrix[0, 0]
     distortion = 1 / reach ** np.array(_POWERS[lens.model])

@@ -238,7 +238,7 @@ class Description:
 
     @property
     def optional_columns(self) -> tuple[str, ...]:
-        """Columns that frames.csv may lack: of cameras that stand still all but their images."""
+        """Columns that frames.csv may lack; cameras that stand still need their images only."""
         still = self.eye_motion == "fixed"
         return (TIME, JOINT_TIME, PLACEMENT, MOVING) if still else (MOVING,)
 

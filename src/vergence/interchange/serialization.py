@@ -50,9 +50,9 @@ Matrix = Annotated[Array, PlainValidator(_matrix)]
 def camera_of(
     size: tuple[int, int], matrix: Array, model: CameraModel, coefficients: Sequence[float]
 ) -> Camera:
-    """Make a camera of OpenCV's coefficients, which may end in zeros, or lack these.
+    """Make a camera from OpenCV's distortion coefficients; zeros at their end may be left out.
 
-    ValueError for coefficients of a lens that is none of ours.
+    ValueError for one to three of them, or for more than the lens model has.
     """
     k = np.trim_zeros(np.array(coefficients, dtype=float), "b")
     if model == "radial-tangential" and len(k) > len(COEFFICIENTS[model]):
