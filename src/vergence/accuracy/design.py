@@ -40,6 +40,8 @@ from vergence.geometry.se3 import pose, rotation
 from vergence.stereo.linearised import linearised
 from vergence.stereo.triangulation import sightings
 
+CAMERAS = "left_main", "right_main"
+"""Names of the cameras of a designed head."""
 STRAIGHT, GAZES = 8, 16
 """Views of the standard recording: boards at straight gaze, and gazes to a board at rest."""
 VIEWS = STRAIGHT + GAZES
@@ -71,10 +73,6 @@ def reading_std(counts_per_turn: ArrayLike, noise_deg: ArrayLike) -> Array:
     counts = np.asarray(counts_per_turn, float)
     step = np.where(counts > 0, 2 * np.pi / np.maximum(counts, 1), 0.0)
     return np.hypot(step / np.sqrt(12), np.radians(noise_deg))  # errors of rounding are uniform
-
-
-CAMERAS = "left_main", "right_main"
-"""Names of the cameras of a designed head."""
 
 
 def designed_head(

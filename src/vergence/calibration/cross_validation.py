@@ -142,18 +142,16 @@ def held_out(
     for k, part in enumerate(parts):
         head = part.head
         main = main_pair(head)
-        pairs = [main] if main else []
-        if main:
-            left, right = (narrow_camera(lenses_of(head, eye)) for eye in EYES)
-            pairs.append((left, right))
-        for pair in dict.fromkeys(pairs):
+        if main is None:
+            continue
+        left, right = (narrow_camera(lenses_of(head, eye)) for eye in EYES)
+        for pair in dict.fromkeys([main, (left, right)]):
             errors = _transferred(part, observations, number == k, pair)
             pixels += errors.values()
             transferred |= errors.keys()  # a view may be seen by both pairs
-        if main is not None:
-            found = _located(head, observations, number == k, main)
-            for every, own in zip((points, expected, distances), found, strict=True):
-                every.extend(own)
+        found = _located(head, observations, number == k, main)
+        for every, own in zip((points, expected, distances), found, strict=True):
+            every.extend(own)
     return HeldOut(
         folds=len(parts),
         prediction_px=float(np.sqrt(squares / corners)) if corners else None,

@@ -67,7 +67,7 @@ def calibrate_intrinsics(
     found = {}
     for name, corners in observations.corners.items():
         known = observations.known_lenses.get(name)
-        before = None if known is None else known_intrinsics(*known, corners, points)
+        before = None if known is None else _known_intrinsics(*known, corners, points)
         try:
             found[name] = calibrate_camera(
                 corners, points, size=observations.sizes[name], lens_model=models[name]
@@ -119,7 +119,7 @@ def calibrate_camera(
     return intrinsics
 
 
-def known_intrinsics(camera: Camera, percent: float, corners: Array, points: Array) -> Intrinsics:
+def _known_intrinsics(camera: Camera, percent: float, corners: Array, points: Array) -> Intrinsics:
     """Take a lens as it was known before; boards in images (V, K, 2) are fitted to it."""
     corners = corners[determines_pose(points, seen_corners(corners))]
     errors, *_ = board_errors(camera, board_poses(camera, corners, points), corners, points)

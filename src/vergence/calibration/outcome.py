@@ -15,7 +15,7 @@ from vergence.estimation.adjustment import Adjustment
 from vergence.estimation.noise import Level
 
 MOST_WRONG = 0.15
-"""Share of views, or of corners, that may be wrong beside a good rest."""
+"""Largest share of wrong views, or of wrong corners, with which the others are trusted."""
 
 
 @dataclass(frozen=True, eq=False)

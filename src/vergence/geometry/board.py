@@ -10,13 +10,7 @@ from typing import Annotated, Literal
 
 import cv2
 import numpy as np
-from pydantic import (
-    ConfigDict,
-    Field,
-    FiniteFloat,
-    PositiveFloat,
-    PositiveInt,
-)
+from pydantic import ConfigDict, Field, FiniteFloat, PositiveFloat, PositiveInt
 from pydantic.dataclasses import dataclass
 
 from vergence.arrays import Array
@@ -218,8 +212,6 @@ def corner_points(board: Board) -> Array:
 def even_grids(board: Board) -> list[np.ndarray]:
     """List the parts of a board in which corners lie evenly: their numbers (rows, columns)."""
     numbers = np.arange(board.rows * board.columns).reshape(board.rows, board.columns)
-    down = (
-        2 if isinstance(board, AprilGrid) or (board.kind == "circles" and board.asymmetric) else 1
-    )
     right = 2 if isinstance(board, AprilGrid) else 1
+    down = 2 if isinstance(board, CircleGrid) and board.asymmetric else right
     return [numbers[j::down, i::right] for j in range(down) for i in range(right)]

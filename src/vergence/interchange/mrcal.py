@@ -21,7 +21,7 @@ from vergence.geometry.projection import camera_pose
 from vergence.geometry.se3 import inverse, rotvec
 from vergence.interchange.serialization import check_cameras
 
-LENS_MODELS: dict[CameraModel, str] = {
+_NAMES: dict[CameraModel, str] = {
     "radial-tangential": "LENSMODEL_OPENCV5",
     "rational": "LENSMODEL_OPENCV8",
 }
@@ -34,7 +34,7 @@ def save(head: HeadCalibration, folder: Path, at: Array | None = None) -> None:
     They stand as at readings (r,) [rad]; None: straight gaze. VergenceError if a camera has skew
     or a fisheye lens, or the folder cannot be written.
     """
-    check_cameras(head, "mrcal's cameramodel", models=tuple(LENS_MODELS))
+    check_cameras(head, "mrcal's cameramodel", models=tuple(_NAMES))
     at = straight_gaze(head.kinematics) if at is None else at
     with results_folder(folder):
         for name, mounted in head.cameras.items():
@@ -42,7 +42,7 @@ def save(head: HeadCalibration, folder: Path, at: Array | None = None) -> None:
             T_cam_ref = inverse(camera_pose(mounted, head.T_rbase_lbase, T_base_eye))
             pinhole = lens.matrix[[0, 1, 0, 1], [0, 1, 2, 2]]
             content = {  # mrcal needs the lens model before the intrinsics
-                "lensmodel": LENS_MODELS[lens.model],
+                "lensmodel": _NAMES[lens.model],
                 "intrinsics": [*pinhole.tolist(), *lens.distortion.tolist()],
                 # Versions from 3.0 also call it rt_cam_ref, and read this name too.
                 "extrinsics": np.append(rotvec(T_cam_ref[:3, :3]), T_cam_ref[:3, 3]).tolist(),

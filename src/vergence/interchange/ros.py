@@ -69,7 +69,7 @@ def save(head: HeadCalibration, folder: Path, at: Array | None = None) -> None:
 
 
 def _rectified(head: HeadCalibration, at: Array) -> dict[str, dict[str, Any]]:
-    """Compute R and P of the main cameras as ROS's own calibrator does; none: the head has one."""
+    """Compute R and P of the main cameras as ROS's calibrator does; empty for a head of one eye."""
     pair = main_pair(head)
     if pair is None:
         return {}

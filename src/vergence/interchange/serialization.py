@@ -26,7 +26,7 @@ MAX_BYTES = 2**18
 NEGLIGIBLE = 1e-9
 """Largest skew [px] or k3 that counts as zero; it moves a pixel by about as much."""
 _NO_NUMBERS = {".nan": "nan", ".inf": "inf", "-.inf": "-inf"}
-"""What YAML writes where a number is not finite."""
+"""Python's text for numbers of YAML that are not finite."""
 
 
 def _matrix(value: Any) -> Array:

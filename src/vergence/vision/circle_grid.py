@@ -26,7 +26,7 @@ def detect_circle_grid(grey: np.ndarray, board: CircleGrid) -> Array | None:
     """Locate centres (rows * columns, 2) [px] of dark spots in an image (H, W); None: not found."""
     parameters = cv2.SimpleBlobDetector.Params()
     parameters.maxArea = grey.size / (board.columns * board.rows)
-    parameters.minDistBetweenBlobs = 2.0
+    parameters.minDistBetweenBlobs = 2.0  # [px]; spots of a far grid are close
     spots = cv2.SimpleBlobDetector.create(parameters)
     size = board.columns, board.rows
     kind = cv2.CALIB_CB_ASYMMETRIC_GRID if board.asymmetric else cv2.CALIB_CB_SYMMETRIC_GRID
@@ -78,10 +78,8 @@ def _darkness(grey: np.ndarray, outline: Array) -> tuple[Array, Array]:
     """Compute how dark pixels within an outline (n, 2) are, from 0 to 1, and where they begin."""
     left, top = np.floor(outline.min(axis=0)).astype(int)
     width, height = np.ceil(outline.max(axis=0)).astype(int) + 1 - [left, top]
-    part, inside = (
-        grey[top : top + height, left : left + width],
-        np.zeros((height, width), np.uint8),
-    )
+    part = grey[top : top + height, left : left + width]
+    inside = np.zeros((height, width), np.uint8)
     cv2.fillPoly(inside, [np.round(outline - [left, top]).astype(np.int32)], 1)
     edge = inside - cv2.erode(inside, np.ones((3, 3), np.uint8), borderValue=0)
     white, black = np.median(part[edge > 0]), np.percentile(part[inside > 0], 10)
