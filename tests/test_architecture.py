@@ -16,7 +16,8 @@ SRC = Path(__file__).parents[1] / "src"
 ROOMS = (
     "errors", "findings", "arrays", "files", "progress", "parallel", "geometry", "estimation",
     "data", "vision", "stereo", "calibration", "self_calibration", "gaze", "accuracy",
-    "interchange", "recordings", "vergence", "twin", "viewer", "paper", "demos", "cli", "__main__",
+    "interchange", "recordings", "vergence", "twin", "live", "viewer", "paper", "demos", "cli",
+    "__main__",
 )  # fmt: skip
 """Folders and single modules, from the ground up: each may import itself and those before it.
 

@@ -1,0 +1,1 @@
+"""Heads that are there: their drivers, guided capture of a calibration recording, and fixation."""
