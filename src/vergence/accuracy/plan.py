@@ -90,44 +90,26 @@ def plan(
             views than candidates are asked for.
     """
     check_seed(seed)
-    check_moves(head.kinematics, "A plan of views")
-    if not distances_m or not min(distances_m) > 0:
-        raise VergenceError(f"Distances of points are above 0 m, found {distances_m}.")
     places, gazes = CANDIDATES
     if not 1 <= views <= places * gazes:
         raise VergenceError(
             f"A plan has one view or more, of the {places} places of the board x {gazes} "
             f"directions of gaze that are tried; found {views}."
         )
-    scale, known = scaled_information(head)
-    names = head.accuracy.parameters if head.accuracy else ()
-    pair = pair_names(head)
-    limits = largest_readings(head.kinematics, limits_rad)
     progress("choosing views", 0, views)  # candidates of a large board take a while
-    points = workspace(head, pair, limits, names=names, distances_m=distances_m)
-    rng = np.random.default_rng(seed)
-    tried = admissible_views(head, board, limits, rng, places=places, gazes=gazes)
-    pixel_px = float(np.sqrt(np.mean(pixel_stds(head, None) ** 2)))
-    (N,) = view_information(
-        head,
-        board,
-        tried,
-        names,
-        scale=scale,
-        pixel_std_px=pixel_px or 1e-3,  # for a calibration that states no noise
-        joint_stds=reading_stds(head)[None],
-    )
-    by_scaled = points.by_parameters * scale
-    chosen = choose(known, N, tried.placement, by_scaled, views, progress)
-    chosen = chosen[np.argsort(tried.placement[chosen], kind="stable")]
-    taken = tried.take(chosen)
+    tried = candidate_views(head, board, limits_rad=limits_rad, distances_m=distances_m, seed=seed)
+    known, N, by_scaled = tried.known, tried.information, tried.by_parameters
+    placement = tried.views.placement
+    chosen = choose(known, N, placement, by_scaled, views, progress)
+    chosen = chosen[np.argsort(placement[chosen], kind="stable")]
+    taken = tried.views.take(chosen)
     steps = [
         known + total_information(N[chosen[: k + 1]], taken.placement[: k + 1])
         for k in range(views)
     ]
     covariances: Array = np.linalg.inv(np.array([known, *steps])).astype(float)
     std = largest_std(by_scaled, covariances)
-    distance = np.linalg.norm(points.points, axis=1)
+    distance = np.linalg.norm(tried.workspace.points, axis=1)
     if (std[-1] > FARTHEST_STD * distance).any():
         k = int((std[-1] / distance).argmax())
         reach = FARTHEST_STD * distance[k] ** 2 / std[-1][k]  # the deviation grows by the square
@@ -136,7 +118,63 @@ def plan(
             f"deviation of {std[-1][k]:.3g} m; name distances up to about {reach:.1g} m, or more "
             "views."
         )
-    return Plan(head, board, taken, std[0], std[-1], std[1:].max(axis=1), points)
+    return Plan(head, board, taken, std[0], std[-1], std[1:].max(axis=1), tried.workspace)
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Views that may be recorded next, and the information of each. Parameters p are scaled."""
+
+    head: HeadCalibration
+    board: Board
+    scale: Array
+    """(p,) standard deviations of the head's parameters, their units."""
+    known: Array
+    """(p, p) information of the calibration."""
+    views: Views
+    information: Array
+    """(V, p + 6, p + 6) of each view about the parameters and the board's place."""
+    workspace: WorkspacePoints
+    by_parameters: Array
+    """(W, 3, p) derivatives of the workspace's points."""
+
+
+def candidate_views(
+    head: HeadCalibration,
+    board: Board,
+    *,
+    limits_rad: ArrayLike = LIMIT_RAD,
+    distances_m: tuple[float, ...] = DISTANCES_M,
+    seed: int = 0,
+    count: tuple[int, int] = CANDIDATES,
+) -> Candidates:
+    """Draw places of the board, and directions of gaze at each; arguments and errors as `plan`."""
+    check_moves(head.kinematics, "A plan of views")
+    if not distances_m or not min(distances_m) > 0:
+        raise VergenceError(f"Distances of points are above 0 m, found {distances_m}.")
+    scale, known = scaled_information(head)
+    names = head.accuracy.parameters if head.accuracy else ()
+    limits = largest_readings(head.kinematics, limits_rad)
+    points = workspace(head, pair_names(head), limits, names=names, distances_m=distances_m)
+    rng = np.random.default_rng(seed)
+    views = admissible_views(head, board, limits, rng, places=count[0], gazes=count[1])
+    N = information_of(head, board, views, scale)
+    return Candidates(head, board, scale, known, views, N, points, points.by_parameters * scale)
+
+
+def information_of(head: HeadCalibration, board: Board, views: Views, scale: Array) -> Array:
+    """Compute the information (V, p + 6, p + 6) of views about a head, as in `Candidates`."""
+    pixel_px = float(np.sqrt(np.mean(pixel_stds(head, None) ** 2)))
+    (N,) = view_information(
+        head,
+        board,
+        views,
+        head.accuracy.parameters if head.accuracy else (),
+        scale=scale,
+        pixel_std_px=pixel_px or 1e-3,  # for a calibration that states no noise
+        joint_stds=reading_stds(head)[None],
+    )
+    return N
 
 
 def largest_readings(kinematics: Kinematics, limits_rad: ArrayLike) -> Array:
@@ -172,7 +210,7 @@ def choose(
     progress(task, 0, total)
     for done in range(total):
         leaves = chosen.pop(0) if done >= count else -1  # the oldest is exchanged next
-        costs = _costs(before, of_views, place, by_parameters, chosen)
+        costs = design_costs(before, of_views, place, by_parameters, chosen)
         costs[chosen] = np.inf
         best = int(costs.argmin())
         stays = leaves >= 0 and costs[leaves] <= costs[best] * (1 + 1e-9)
@@ -181,7 +219,7 @@ def choose(
     return np.array(chosen)
 
 
-def _costs(
+def design_costs(
     before: Array, of_views: Array, place: np.ndarray, by_parameters: Array, chosen: list[int]
 ) -> Array:
     """Compute the cost (V,) of the chosen views with each candidate added."""

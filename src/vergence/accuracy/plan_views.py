@@ -16,7 +16,7 @@ from vergence.errors import VergenceError
 from vergence.geometry.board import Board, corner_points
 from vergence.geometry.camera import in_valid_field, project
 from vergence.geometry.eye_motion import eye_poses
-from vergence.geometry.head import HeadCalibration, pair_names
+from vergence.geometry.head import HeadCalibration, main_cameras
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.projection import camera_pose
 from vergence.geometry.se3 import inverse, pose, rotation, transform
@@ -78,15 +78,15 @@ def admissible_views(
 ) -> Views:
     """Draw admissible views: at each of some places of the board, some directions of gaze.
 
-    `limits_rad` (r,) are the largest readings to either side. Raises VergenceError if the head has
-    one eye, or the board fits into too few pairs of images.
+    `limits_rad` (r,) are the largest readings to either side. Raises VergenceError if the board
+    fits whole into the images of the eyes' main cameras at too few places.
     """
-    pair = [list(head.cameras).index(name) for name in pair_names(head)]
+    main = [list(head.cameras).index(name) for name in main_cameras(head)]
     found: list[tuple[Array, Array]] = []
     for T in _boards(head, board, limits_rad, rng, 20 * places):
         joints = rng.uniform(-limits_rad, limits_rad, (400, len(limits_rad)))
         tried = Views(np.broadcast_to(T, (400, 4, 4)), joints, np.zeros(400, dtype=int))
-        good = joints[shows_whole_board(head, board, tried)[:, pair].all(axis=1)][:gazes]
+        good = joints[shows_whole_board(head, board, tried)[:, main].all(axis=1)][:gazes]
         if len(good) == gazes:
             found.append((np.tile(T, (gazes, 1, 1)), good))
         if len(found) == places:
@@ -94,7 +94,7 @@ def admissible_views(
             return Views(T_lbase_target, joints, np.repeat(np.arange(places), gazes))
     size = f"{board.columns} x {board.rows} corners of {1e3 * board.square_m:g} mm"
     raise VergenceError(
-        f"A board of {size} fits whole into the images of both eyes at {len(found)} of "
+        f"A board of {size} fits whole into the images of the eyes at {len(found)} of "
         f"{places} places; take a smaller board, or let the joints move farther."
     )
 
@@ -102,11 +102,12 @@ def admissible_views(
 def _boards(
     head: HeadCalibration, board: Board, limits_rad: Array, rng: np.random.Generator, count: int
 ) -> Array:
-    """Draw T_lbase_target (count, 4, 4) about the axes of the left eye's main camera."""
-    mounted = head.cameras[pair_names(head)[0]]
+    """Draw T_lbase_target (count, 4, 4) about the axes of the first main camera."""
+    mounted = head.cameras[main_cameras(head)[0]]
     corners = corner_points(board)
     gaze = rng.uniform(-limits_rad, limits_rad, (count, len(limits_rad)))
-    T_lbase_left = camera_pose(mounted, head.T_rbase_lbase, eye_poses(head, gaze)[:, 0])
+    T_base_eye = eye_poses(head, gaze)[:, EYES.index(mounted.eye)]
+    T_lbase_cam = camera_pose(mounted, head.T_rbase_lbase, T_base_eye)
     lens = mounted.intrinsics
     size = np.ptp(corners, axis=0).max()
     fills = rng.uniform(0.35, 0.9, count)  # of the width of the image, by a board that faces it
@@ -116,7 +117,7 @@ def _boards(
     aside *= np.array(lens.size) / lens.matrix[0, 0] * depth[:, None]
     R = rotation(rng.uniform(-LEAN_RAD, LEAN_RAD, (count, 3)))
     centre = np.concatenate([aside, depth[:, None]], axis=1)
-    return T_lbase_left @ pose(R, centre - (R @ corners.mean(axis=0)))
+    return T_lbase_cam @ pose(R, centre - (R @ corners.mean(axis=0)))
 
 
 def as_seen(head: HeadCalibration, board: Board, views: Views) -> Observations:

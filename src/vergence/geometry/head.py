@@ -209,6 +209,11 @@ def main_camera(lenses: Mapping[str, Camera]) -> str:
     return next(n for n, slope in slopes.items() if slope > AS_WIDE * max(slopes.values()))
 
 
+def main_cameras(head: HeadCalibration) -> tuple[str, ...]:
+    """List the main camera of each eye that has one."""
+    return tuple(main_camera(lenses_of(head, eye)) for eye in EYES if cameras_of(head, eye))
+
+
 def narrow_camera(lenses: Mapping[str, Camera]) -> str:
     """Select the camera of an eye that sees least, and finest; the main one if all see as much."""
     slopes = {name: lens.width / lens.matrix[0, 0] for name, lens in lenses.items()}

@@ -25,8 +25,7 @@ from vergence.geometry.head import (
     HeadCalibration,
     camera_pose_in_base,
     cameras_of,
-    lenses_of,
-    main_camera,
+    main_cameras,
 )
 from vergence.geometry.kinematics import EYES, readings_to_turn, straight_gaze
 from vergence.geometry.projection import project_point
@@ -124,11 +123,6 @@ def _around_board_at_rest(
         if best > IN_VIEW:
             break
     return shots
-
-
-def main_cameras(head: HeadCalibration) -> tuple[str, ...]:
-    """List the main camera of each eye that has one."""
-    return tuple(main_camera(lenses_of(head, eye)) for eye in EYES if cameras_of(head, eye))
 
 
 def other_cameras(head: HeadCalibration) -> list[str]:
