@@ -97,12 +97,6 @@ def kinds(folder: Path) -> dict[str, Kind]:
     shipped = Path(sys.modules["vergence.twin"].__file__ or "").parent / "profiles" / "paper.toml"
     profile.write_bytes(shipped.read_bytes())
     made["profile"] = Kind(profile, lambda: use_profile(load_profile(str(profile))))
-    for suffix in (".yml", ".json"):
-        file = folder / f"head{suffix}"
-        export_head(head, file, "opencv")
-        made[f"opencv {suffix}"] = Kind(
-            file, lambda file=file: use_head(import_head(file, "opencv"))
-        )
     chain, info = folder / "camchain.yaml", folder / "info"
     export_head(head, chain, "kalibr")
     made["kalibr"] = Kind(chain, lambda: use_head(import_head(chain, "kalibr", template=head)))

@@ -64,8 +64,10 @@ REFUSED = [
     ("design --jobs 1 --out EMPTY", f"The value after --out {EMPTY}"),
     ("budget --noise 0.1 --json=", f"The value after --json {EMPTY}"),
     ("export EMPTY --format ros --out r", f"The value after export {EMPTY}"),
-    ("import a.yml --format opencv --start b.json --out c.json", "leave --start out"),
-    ("import nosuch.yml --format opencv --out x.json", "Cannot read nosuch.yml: No such file"),
+    (
+        "import a.yml --format kalibr --start nosuch.json --out x.json",
+        "Cannot read nosuch.json: No",
+    ),
     # a command writes over what it reads
     ("plan data --json data/dataset.json", READ),
     ("design design.json --out .", READ),
@@ -73,7 +75,7 @@ REFUSED = [
     ("budget --motion data --noise 0.1 --json data/frames.csv", READ),
     ("depth data --calibration depth.json --out .", READ),
     ("export left_wide.yaml --format ros --out .", READ),
-    ("import . --format ros --out left_wide.yaml", READ),
+    ("import . --format ros --start depth.json --out left_wide.yaml", READ),
     # two results in one place
     ("calibrate data --out r/report.md --report r", TWICE),
     ("calibrate data --out a.json --json r/dataset.rrd --report r", TWICE),

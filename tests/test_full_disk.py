@@ -31,7 +31,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder, head = tmp_path_factory.mktemp("inputs"), stated_head()
     save_head(head, folder / "head.json")
     write_json(true_of(head), folder / "t.json")
-    export_head(head, folder / "head.yml", "opencv")
+    export_head(head, folder / "chain.yaml", "kalibr")
     seen_dataset(folder / "set", CHESSBOARD, 3)
     return folder
 
@@ -86,7 +86,10 @@ def check(
 
 SMALL = {
     "evaluate": ("a.json", "evaluate {inputs}/head.json --truth {inputs}/t.json --json out/a.json"),
-    "import": ("a.json", "import {inputs}/head.yml --format opencv --out out/a.json"),
+    "import": (
+        "a.json",
+        "import {inputs}/chain.yaml --format kalibr --start {inputs}/head.json --out out/a.json",
+    ),
     "opencv yml": ("a.yml", "export {inputs}/head.json --format opencv --out out/a.yml"),
     "opencv json": ("a.json", "export {inputs}/head.json --format opencv --out out/a.json"),
     "kalibr": ("a.yaml", "export {inputs}/head.json --format kalibr --out out/a.yaml"),

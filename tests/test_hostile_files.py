@@ -18,8 +18,8 @@ from mutated_files import attempt, mutated
 from refusals import sentence
 
 MUTATIONS = 20  # of each kind
-JSON_KINDS = ("dataset.json", "calibration", "truth", "opencv .json")
-YAML_KINDS = ("opencv .yml", "kalibr", "ros")
+JSON_KINDS = ("dataset.json", "calibration", "truth")
+YAML_KINDS = ("kalibr", "ros")
 TEXT_KINDS = (*JSON_KINDS, *YAML_KINDS, "profile", "frames.csv")
 IMAGE_KINDS = ("png", "jpeg")
 KINDS = (*TEXT_KINDS, *IMAGE_KINDS)

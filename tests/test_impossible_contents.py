@@ -7,7 +7,6 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from mutated_files import attempt
 from refusals import sentence
 
 
@@ -142,10 +141,7 @@ def test_an_impossible_camchain_is_refused(sound_files, change, says):
         ("image_width: 640", "image_width: 0", "image_width"),
         ("image_width: 640", "image_width: 64000000", "width"),
         ("image_height: 480", "image_height: -1", "image_height"),
-        ("rows: 3", "rows: 4", "a matrix of 4 x 3 has 9 numbers"),
-        ("rows: 3", "rows: -3", "a matrix of -3 x 3"),
-        ("cols: 5", "cols: 99999999999999999999", "a matrix of 1 x"),
-        ("data:", "date:", "rows, cols and data"),
+        ("data:", "date:", "camera_matrix.data"),
         ("camera_matrix", "camera_matrx", "camera_matrix"),
     ],
 )
@@ -153,33 +149,3 @@ def test_an_impossible_camera_info_is_refused(sound_files, old, new, says):
     text = sound_files["ros"].file.read_text()
     assert old in text
     assert says in sentence(sound_files["ros"], text.replace(old, new, 1).encode())
-
-
-@pytest.mark.parametrize("suffix", [".yml", ".json"])
-@pytest.mark.parametrize(
-    ("old", "new", "says"),
-    [
-        ("vergence-head-opencv-2", "vergence-head-opencv-9", "format"),
-        ("right_narrow", "left", "not the name of an eye"),
-        ("offset_rad", "offset_read", "offset_rad"),
-        ("left_pan,", "", "1"),
-        ("T_rbase_lbase", "T_rbase", "T_rbase_lbase"),
-        ("image_width", "image_with", "image_width"),
-        ("640", "64000000", "width"),
-        ("480", "0", "image_height"),
-        ("camera_matrix", "camera_matrices", "camera_matrix"),
-        ("time_offset_s", "time_offset_s_", "."),
-        ("rows", "rose", "matrix"),
-    ],
-)
-def test_an_impossible_opencv_file_is_refused_or_read_without_the_field(
-    sound_files, suffix, old, new, says
-):
-    kind = sound_files[f"opencv {suffix}"]
-    text = kind.file.read_text()
-    assert old in text
-    content = text.replace(old, new).encode()
-    if old == "time_offset_s":  # which may be missing
-        assert attempt(kind, content) == "read"
-    else:
-        assert says in sentence(kind, content)

@@ -2,7 +2,6 @@
 
 import ast
 from dataclasses import replace
-from functools import partial
 
 import cv2
 import numpy as np
@@ -42,28 +41,29 @@ def numbers(item: HeadCalibration | Camera) -> dict:
     return TypeAdapter(type(item)).dump_python(item, mode="json")
 
 
-@pytest.mark.parametrize("suffix", opencv.SUFFIXES)
-@pytest.mark.parametrize("neck", [NAMED_NECK, Neck()], ids=["neck", "no neck"])
-def test_a_head_survives_opencv_to_the_last_digit(tmp_path, suffix, neck):
-    head = replace(with_k3(unskewed_head(1), 0.0123456789), time_offset_s=0.0321, neck=neck)
-    opencv.save(head, tmp_path / f"head{suffix}")
-    assert numbers(opencv.load(tmp_path / f"head{suffix}")) == numbers(head)
-
-
 def assert_opencv_projects(matrix: np.ndarray, distortion: np.ndarray, camera: Camera) -> None:
     points = np.random.default_rng(0).uniform([-0.5, -0.4, 0.5], [0.5, 0.4, 2.0], (50, 3))
     pixels, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix, distortion)
     np.testing.assert_allclose(pixels.reshape(-1, 2), project(camera, points), atol=1e-9)
 
 
-def test_opencv_alone_reads_what_it_needs_to_project(tmp_path):
-    head = unskewed_head(3)
-    opencv.save(head, tmp_path / "head.yml")
-    storage = cv2.FileStorage(str(tmp_path / "head.yml"), cv2.FILE_STORAGE_READ)
-    node = storage.getNode("cameras").getNode("right_wide")
+@pytest.mark.parametrize("suffix", opencv.SUFFIXES)
+@pytest.mark.parametrize("neck", [NAMED_NECK, Neck()], ids=["neck", "no neck"])
+def test_opencv_reads_what_it_needs_to_project_and_all_joints(tmp_path, suffix, neck):
+    head = replace(with_k3(unskewed_head(3), 0.0123456789), time_offset_s=0.0321, neck=neck)
+    opencv.save(head, tmp_path / f"head{suffix}")
+    storage = cv2.FileStorage(str(tmp_path / f"head{suffix}"), cv2.FILE_STORAGE_READ)
+    node = storage.getNode("cameras").getNode("left_wide")
     K, D = (node.getNode(k).mat() for k in ("camera_matrix", "distortion_coefficients"))
-    assert_opencv_projects(K, D, head.cameras["right_wide"].intrinsics)
-    assert storage.getNode("T_rbase_lbase").mat().shape == (4, 4)
+    assert_opencv_projects(K, D, head.cameras["left_wide"].intrinsics)
+    np.testing.assert_array_equal(storage.getNode("T_rbase_lbase").mat(), head.T_rbase_lbase)
+    assert storage.getNode("time_offset_s").real() == head.time_offset_s
+    assert storage.getNode("neck").getNode("joints").string() == ",".join(neck.joints)
+    eye = storage.getNode("kinematics").getNode("left")
+    for joint in head.kinematics.eyes["left"]:
+        read = eye.getNode(joint.name)
+        np.testing.assert_array_equal(read.getNode("axis").mat().ravel(), joint.axis)
+        assert [read.getNode(n).real() for n in ("gain", "slide_m")] == [joint.gain, joint.slide_m]
 
 
 @pytest.mark.slow
@@ -139,23 +139,16 @@ def test_the_accuracy_of_the_head_to_start_from_is_not_that_of_other_lenses(tmp_
     assert import_head(path, format_name, template=stated).accuracy is None
 
 
-def test_kalibr_and_ros_need_a_head_to_start_from(tmp_path):
-    ros.save(unskewed_head(14), tmp_path)
-    with pytest.raises(VergenceError, match="name a head calibration"):
-        import_head(tmp_path, "ros")
-
-
 def test_a_format_that_does_not_exist_is_answered_with_those_that_do(tmp_path):
     with pytest.raises(VergenceError, match="one of kalibr, mrcal, ros, opencv, urdf; found 'foo'"):
         export_head(unskewed_head(14), tmp_path / "a", "foo")  # pyright: ignore[reportArgumentType]
-    with pytest.raises(VergenceError, match="one of kalibr, ros, opencv; found 'urdf'"):
-        import_head(tmp_path / "a", "urdf")  # pyright: ignore[reportArgumentType]
+    with pytest.raises(VergenceError, match="one of kalibr, ros; found 'urdf'"):
+        import_head(tmp_path / "a", "urdf", template=unskewed_head(14))  # pyright: ignore[reportArgumentType]
 
 
 def test_opencv_says_which_endings_it_knows(tmp_path):
-    for call in (partial(opencv.save, unskewed_head(19)), opencv.load):
-        with pytest.raises(VergenceError, match=r"\.yml, \.yaml, \.json; found 'head\.xml'"):
-            call(tmp_path / "head.xml")
+    with pytest.raises(VergenceError, match=r"\.yml, \.yaml, \.json; found 'head\.xml'"):
+        opencv.save(unskewed_head(19), tmp_path / "head.xml")
 
 
 FISHEYE = (-0.02, 0.01, -0.004, 0.001)
@@ -170,10 +163,8 @@ def with_lens(head: HeadCalibration, model: CameraModel) -> HeadCalibration:
 
 
 @pytest.mark.parametrize("model", ["fisheye", "rational"])
-def test_every_lens_survives_opencv_and_ros(tmp_path, model):
+def test_every_lens_survives_ros(tmp_path, model):
     head = with_lens(unskewed_head(21), model)
-    opencv.save(head, tmp_path / "head.yml")
-    assert numbers(opencv.load(tmp_path / "head.yml")) == numbers(head)
     ros.save(head, tmp_path / "ros")
     text = yaml.safe_load((tmp_path / "ros" / "left_wide.yaml").read_text())
     name = {"fisheye": "equidistant", "rational": "rational_polynomial"}[model]
@@ -314,7 +305,7 @@ def test_coefficients_of_other_programs_may_end_in_zeros(tmp_path, model, coeffi
     [
         ([0.1] * 12, "8 distortion coefficients"),
         ([0.1] * 3, "4 at least"),
-        ([float("nan")] * 4, "NaN"),
+        ([float("nan")] * 4, "valid number"),
     ],
 )
 def test_coefficients_of_no_lens_of_ours_are_named(tmp_path, coefficients, said):
@@ -334,7 +325,7 @@ def test_topics_that_begin_alike_name_cameras_by_where_they_differ(tmp_path):
     content = yaml.safe_load((tmp_path / "a.yaml").read_text())
     for k, cam in enumerate(content.values()):
         cam["rostopic"] = f"/stereo/eye_{k}/image_raw"
-    (tmp_path / "b.yaml").write_text("%YAML:1.0\n---\n" + yaml.safe_dump(content))
+    (tmp_path / "b.yaml").write_text(yaml.safe_dump(content))
     assert list(kalibr.load(tmp_path / "b.yaml")) == [f"eye_{k}" for k in range(len(content))]
 
 

@@ -76,7 +76,7 @@ def rigid(T: Array) -> Array:
 
     Those that are rigid stay as they are.
     """
-    R, t = T[..., :3, :3], T[..., :3, 3]
+    R, t = np.clip(T[..., :3, :3], -2, 2), T[..., :3, 3]  # so that no product overflows
     handed, found = np.linalg.det(R).min(initial=1), T
     if np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max(initial=0) > 2e-6:
         found = T.copy()

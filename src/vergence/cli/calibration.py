@@ -171,28 +171,26 @@ def import_(
     path: Positional[Path],
     /,
     *,
-    format: Literal["kalibr", "ros", "opencv"],
+    format: Literal["kalibr", "ros"],
+    start: Path,
     out: Path,
-    start: Optional[Path] = None,
 ) -> Report:
     """Make a calibration from another program's files.
 
     Args:
         path: File; for ros a folder of files.
-        format: opencv has the whole head, kalibr the cameras and their poses, ros the cameras only.
+        format: kalibr has the cameras and their poses, ros the cameras only.
+        start: Calibration that supplies mountings and joints, which these files do not contain.
         out: JSON file of the calibration.
-        start: Calibration that supplies what kalibr and ros files do not contain.
     """
     from vergence.interchange import ros
     from vergence.interchange.formats import unchanged_lenses
 
-    if format == "opencv" and start is not None:
-        raise VergenceError("opencv files hold the whole head; leave --start out.")
     read = ros.files(path) if format == "ros" else [path]
     check_outputs(out, inputs=[*read, start])
-    template = None if start is None else vg.load_head(start)
+    template = vg.load_head(start)
     head = vg.import_head(path, format, template=template)
     vg.save_head(head, out)
-    kept = unchanged_lenses(head, template) if template is not None else ()
+    kept = unchanged_lenses(head, template)
     text = (f"{path} leaves the lenses of {listed(kept)} as {start} has them.",) if kept else ()
     return Report("Import", text, None, files=f"Wrote {out}.")

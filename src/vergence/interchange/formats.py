@@ -19,7 +19,7 @@ from vergence.interchange import kalibr, mrcal, opencv, ros, urdf
 from vergence.interchange.serialization import with_intrinsics
 
 ExportFormat = Literal["kalibr", "mrcal", "ros", "opencv", "urdf"]
-ImportFormat = Literal["kalibr", "ros", "opencv"]
+ImportFormat = Literal["kalibr", "ros"]
 
 
 def export_head(
@@ -54,36 +54,26 @@ def export_head(
 
 
 def import_head(
-    path: Path | str, format_name: ImportFormat, *, template: HeadCalibration | None = None
+    path: Path | str, format_name: ImportFormat, *, template: HeadCalibration
 ) -> HeadCalibration:
-    """Read a head from another program's format.
+    """Read cameras from another program's format into a head.
 
     Args:
         path: a file, or for ros a folder of files.
-        format_name: opencv contains a whole head; kalibr contains cameras and their relative
-            poses, ros only cameras.
-        template: a head that supplies what the file does not contain; needed for kalibr and ros.
+        format_name: kalibr contains cameras and their relative poses, ros only cameras.
+        template: a head that supplies what the file does not contain.
 
     Raises:
-        VergenceError: the format is unknown, the file cannot be read, or a template is needed and
-            missing.
+        VergenceError: the format is unknown, or the file cannot be read.
     """
     _check_format(format_name, get_args(ImportFormat))
     path = Path(path)
-    if format_name == "opencv":
-        return opencv.load(path)
-    if template is None:
-        raise VergenceError(
-            f"{format_name} files do not say where cameras sit in the eyes; name a head "
-            "calibration that does (`vergence import --start FILE`), whose cameras "
-            "take the numbers from the file."
-        )
-    if format_name == "kalibr":
-        head = kalibr.update_head(kalibr.load(path), template)
-        for finding in implausible_geometry(head):
-            raise VergenceError(f"{path}: {finding}")
-        return head
-    return with_intrinsics(template, ros.load(path))
+    if format_name == "ros":
+        return with_intrinsics(template, ros.load(path))
+    head = kalibr.update_head(kalibr.load(path), template)
+    for finding in implausible_geometry(head):
+        raise VergenceError(f"{path}: {finding}")
+    return head
 
 
 def unchanged_lenses(head: HeadCalibration, template: HeadCalibration) -> list[str]:

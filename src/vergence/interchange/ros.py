@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 
 import cv2
 import numpy as np
-from pydantic import Field
+from pydantic import BaseModel, Field, FiniteFloat, PositiveInt
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
@@ -21,7 +21,7 @@ from vergence.geometry.camera import Camera
 from vergence.geometry.head import MAX_CAMERAS, HeadCalibration, main_pair
 from vergence.geometry.lens import CameraModel
 from vergence.interchange.serialization import (
-    Intrinsics,
+    camera_of,
     check_cameras,
     intrinsics_fields,
     read,
@@ -38,11 +38,19 @@ DISTORTION_MODELS: dict[CameraModel, str] = {
 LENS_MODELS: dict[str, CameraModel] = {name: model for model, name in DISTORTION_MODELS.items()}
 
 
-class _CameraInfo(Intrinsics):
+class _Matrix(BaseModel):
+    data: list[FiniteFloat]
+
+
+class _CameraInfo(BaseModel):
     """Fields that are read; rectification and projection follow from them."""
 
     camera_name: Annotated[str, Field(min_length=1)]
     distortion_model: Literal["plumb_bob", "rational_polynomial", "equidistant"]
+    image_width: PositiveInt
+    image_height: PositiveInt
+    camera_matrix: _Matrix
+    distortion_coefficients: _Matrix
 
 
 def save(head: HeadCalibration, folder: Path, at: Array | None = None) -> None:
@@ -128,4 +136,9 @@ def files(path: Path) -> list[Path]:
 
 def _named_camera(content: Any) -> tuple[str, Camera]:
     info = _CameraInfo.model_validate(content)
-    return info.camera_name.replace("/", "_"), info.camera(LENS_MODELS[info.distortion_model])
+    size, model = (info.image_width, info.image_height), LENS_MODELS[info.distortion_model]
+    matrix = np.reshape(info.camera_matrix.data, (3, 3))
+    if matrix[0, 1] != 0:
+        raise ValueError("camera_matrix is not [fx 0 cx; 0 fy cy; 0 0 1]")
+    camera = camera_of(size, matrix, model, info.distortion_coefficients.data)
+    return info.camera_name.replace("/", "_"), camera

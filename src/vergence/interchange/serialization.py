@@ -6,11 +6,10 @@ import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import yaml
-from pydantic import BaseModel, PlainValidator, PositiveInt
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
@@ -25,26 +24,6 @@ MAX_BYTES = 2**18
 """Largest file; a head in one of these formats has 10 kB."""
 NEGLIGIBLE = 1e-9
 """Largest skew [px] or k3 that counts as zero; it moves a pixel by about as much."""
-_NO_NUMBERS = {".nan": "nan", ".inf": "inf", "-.inf": "-inf"}
-"""Python's text for numbers of YAML that are not finite."""
-
-
-def _matrix(value: Any) -> Array:
-    try:
-        rows, cols, data = int(value["rows"]), int(value["cols"]), value["data"]
-        texts = data.split() if isinstance(data, str) else data
-        numbers = np.array([_NO_NUMBERS.get(text, text) for text in texts], dtype=float)
-    except (LookupError, TypeError, ValueError, OverflowError):
-        raise ValueError("expected a matrix of rows, cols and data") from None
-    if not np.isfinite(numbers).all():
-        raise ValueError("expected finite numbers, found NaN or infinity")
-    if min(rows, cols) < 0 or numbers.shape != (rows * cols,):
-        raise ValueError(f"a matrix of {rows} x {cols} has {numbers.size} numbers")
-    return numbers.reshape(rows, cols)
-
-
-Matrix = Annotated[Array, PlainValidator(_matrix)]
-"""(rows, cols), written as a mapping with the keys rows, cols and data."""
 
 
 def camera_of(
@@ -67,25 +46,8 @@ def camera_of(
     return Camera(width=size[0], height=size[1], matrix=matrix, distortion=distortion, model=model)
 
 
-class Intrinsics(BaseModel):
-    """A camera with the field names that OpenCV's and ROS's files share."""
-
-    image_width: PositiveInt
-    image_height: PositiveInt
-    camera_matrix: Matrix
-    distortion_coefficients: Matrix
-
-    def camera(self, model: CameraModel = "radial-tangential") -> Camera:
-        """Make the camera; ValueError if it has skew, or coefficients of another lens model."""
-        size, k = (self.image_width, self.image_height), self.distortion_coefficients.ravel()
-        camera = camera_of(size, self.camera_matrix, model, k.tolist())
-        if camera.matrix[0, 1] != 0:
-            raise ValueError("camera_matrix is not [fx 0 cx; 0 fy cy; 0 0 1]")
-        return camera
-
-
 def intrinsics_fields(camera: Camera) -> dict[str, Any]:
-    """Make the fields of Intrinsics, with matrices as arrays."""
+    """Name size, matrix and distortion (1, n) of a camera as OpenCV's and ROS's files do."""
     return {
         "image_width": camera.width,
         "image_height": camera.height,
@@ -110,19 +72,15 @@ class _TextLoader(yaml.BaseLoader):
         return unique_keys(pairs)
 
 
-def parse_yaml(text: str) -> Any:
-    """Parse YAML, all scalars as text; ValueError for aliases and repeated keys."""
-    try:
-        # OpenCV 4 begins with %YAML:1.0, which is not valid YAML; its matrices are plain mappings.
-        return yaml.load(re.sub(r"\A%YAML[^\n]*", "", text), Loader=_TextLoader)
-    except yaml.YAMLError as error:
-        raise ValueError(str(error)) from None
+def read(path: Path, what: str, build: Callable[[Any], T]) -> T:
+    """Read another program's YAML, all scalars as text; see `files.read_parsed`."""
 
+    def parse(text: str) -> Any:
+        try:
+            return yaml.load(text, Loader=_TextLoader)
+        except yaml.YAMLError as error:
+            raise ValueError(str(error)) from None
 
-def read(
-    path: Path, what: str, build: Callable[[Any], T], parse: Callable[[str], Any] = parse_yaml
-) -> T:
-    """Read another program's file; see `files.read_parsed`."""
     return read_parsed(path, what, build, parse, most_bytes=MAX_BYTES)
 
 
