@@ -5,7 +5,7 @@
 
 One eye with a camera of known intrinsics looks at a board at rest; corners and joint readings
 carry normal noise whose levels no estimator is given. Compared are Park and Martin's closed form
-(the paper's), adjustment with the joint readings taken as exact, and `refine_eye_camera`, whose
+(the paper's), adjustment with the joint readings taken as exact, and `bundle_adjust`, in which the
 true joint angles are unknowns; beside it the same when given both levels, for what not
 knowing them costs. Exits with 1 when a bar is missed.
 
@@ -26,10 +26,11 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"  # small matrices; before numpy
 import numpy as np
 import tyro
 
+from one_eye import CAMERA, mount_camera
 from simulated_head import R_EYE_CAM, pan_tilt_pose, probability
 from simulated_recording import inside_image
 from vergence.arrays import Array
-from vergence.calibration.eye_camera import refine_eye_camera
+from vergence.calibration.bundle_adjustment import NoiseModel, covariance_of
 from vergence.calibration.hand_eye import park_martin
 from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard, corner_points
@@ -99,22 +100,24 @@ def run(config: Config, joint_std_deg: float, number: int) -> Trial | str:
     """Return one trial, or what made it fail."""
     joint_std = np.radians(joint_std_deg)
     rng = np.random.default_rng([config.seed, round(1e6 * joint_std_deg), number])
-    points = corner_points(Chessboard(config.columns, config.rows, config.square_m))
+    board = Chessboard(config.columns, config.rows, config.square_m)
+    points = corner_points(board)
     truth, readings, pixels = simulate(config, points, joint_std, rng)
     camera = pinhole(640, 480, config.focal_px)
-    solve = partial(refine_eye_camera, readings, pixels, points, camera)
+    solve = partial(mount_camera, readings, pixels, board, camera)
     try:
         closed = park_martin(pan_tilt_pose(readings), board_poses(camera, pixels, points))
         # The baseline knows nothing of outliers: it would take half of the views for such.
-        exact = solve(joint_std=0.0, outlier=np.inf)
-        given = solve(joint_std=joint_std, pixel_std_px=config.pixel_std_px)
+        exact = solve(noise=NoiseModel(joint_std=0.0, outlier=np.inf))
+        given = solve(noise=NoiseModel(config.pixel_std_px, joint_std))
         latent = solve()
     except VergenceError as error:
         return str(error)
-    found = np.stack([closed, exact.T_eye_cam, latent.T_eye_cam, given.T_eye_cam])
+    adjusted = [each.head.cameras[CAMERA].T_eye_cam for each in (exact, latent, given)]
+    found = np.stack([closed, *adjusted])
     off = boxminus(found, truth)
     sizes = np.linalg.norm(off.reshape(-1, 2, 3), axis=-1) * [np.degrees(1), 1e3]
-    stated = probability(off[2], latent.covariance)
+    stated = probability(off[2], covariance_of(latent, f"{CAMERA}.T_eye_cam"))
     return Trial(sizes, stated)
 
 

@@ -16,9 +16,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices; before num
 import numpy as np
 import tyro
 
+from one_eye import mount_camera
 from vergence.arrays import Array
 from vergence.calibration.calibrate import calibrate
-from vergence.calibration.eye_camera import refine_eye_camera
 from vergence.calibration.intrinsics import calibrate_intrinsics
 from vergence.calibration.observations import Observations
 from vergence.calibration.target_poses import adjust_target_poses
@@ -133,9 +133,8 @@ def rounded(seed: int) -> tuple[bool, str]:
     observations = replace(observations, T_base_eye=T)
     pixels, points = observations.corners["left_cam"], corner_points(observations.board)
     T_cam_target = {"left_cam": board_poses(lens, pixels, points)}
-    alone = refine_eye_camera(T[:, 0], pixels, points, lens)
     by_poses = adjust_target_poses(T_cam_target, T, eyes={"left_cam": "left"})
-    results = observations.findings, alone.findings, by_poses.findings
+    results = observations.findings, by_poses.findings
     noted = [any(each.code == "rounded-poses" for each in findings) for findings in results]
     return all(noted), f"{digits} digits"
 
@@ -153,12 +152,12 @@ def axis(seed: int) -> tuple[bool, str]:
     """Motion about one axis is refused or voids the result, which says why."""
     poses, T, _ = carried(seed, axes=1)
     rng, lens = np.random.default_rng(seed), pinhole(640, 480, 500.0)
-    points = corner_points(Chessboard(9, 6, 0.025))
-    pixels = project(lens, transform(poses["left_cam"][:, None], points))
+    board = Chessboard(9, 6, 0.025)
+    pixels = project(lens, transform(poses["left_cam"][:, None], corner_points(board)))
     pixels += rng.normal(0, 0.1, pixels.shape)
     said = []
     for estimate in (
-        lambda: refine_eye_camera(T, pixels, points, lens),
+        lambda: mount_camera(T, pixels, board, lens),
         lambda: adjust_target_poses(poses, np.stack([T, T], axis=1), eyes=EYES_OF),
     ):
         try:

@@ -10,7 +10,9 @@ from simulated_head import as_designed, probability
 from simulated_recording import facing
 from texts import texts
 from vergence.arrays import Array
-from vergence.calibration.target_poses import TargetPoseEstimate, adjust_target_poses
+from vergence.calibration.bundle_adjustment import BundleEstimate, NoiseModel
+from vergence.calibration.residuals import TARGET_SHIFTS, TARGET_TURNS
+from vergence.calibration.target_poses import adjust_target_poses
 from vergence.errors import VergenceError
 from vergence.geometry.head import HeadCalibration, camera_pose_in_base
 from vergence.geometry.kinematics import EYES, Side, eye_pose
@@ -18,6 +20,7 @@ from vergence.geometry.parameters import boxminus, without_offsets
 from vergence.geometry.se3 import boxminus as boxminus_pose
 from vergence.geometry.se3 import boxplus, inverse, pose, rotation
 
+POSE_LEVELS = TARGET_TURNS, TARGET_SHIFTS
 NOISE = np.diag(np.repeat([0.003, 0.0006], 3) ** 2)
 EYES_OF: dict[str, Side] = {"left_wide": "left", "right_wide": "right"}
 
@@ -49,7 +52,7 @@ def measured(
 
 def estimate(
     head: HeadCalibration, poses: dict[str, Array], readings: Array, covariance: Array | None = None
-) -> TargetPoseEstimate:
+) -> BundleEstimate:
     """Return the estimate of a head whose design is known; one covariance holds for all poses."""
     return adjust_target_poses(
         poses,
@@ -60,7 +63,7 @@ def estimate(
     )
 
 
-def off(found: TargetPoseEstimate, truth: HeadCalibration) -> Array:
+def off(found: BundleEstimate, truth: HeadCalibration) -> Array:
     """Return (c,) the errors of the parameters; lenses have none."""
     cameras = {
         name: replace(mounted, intrinsics=truth.cameras[name].intrinsics)
@@ -79,32 +82,16 @@ def test_exact_poses_give_the_head_without_error(kind: str):
     found = estimate(head, poses, readings, NOISE)
     assert texts(found.findings, "void") == []
     assert np.abs(off(found, head)).max() < 1e-5
-    assert np.isnan(found.errors["left_wide"][3]).all()
+    assert np.isnan(found.residuals_px["left_wide"][3]).all()
 
 
-def test_a_start_of_another_head_is_refused():
-    rng = np.random.default_rng(3)
-    head = head_of("pan, tilt", rng)
-    poses, readings = measured(head, rng, views=10)
-    others = head_of("tilt, pan", rng).kinematics
-    with pytest.raises(VergenceError, match=r"kinematics and start\.kinematics describe different"):
-        adjust_target_poses(poses, readings, eyes=EYES_OF, start=head, kinematics=others)
-    with pytest.raises(VergenceError, match="target by third; start has the cameras left_wide, r"):
-        adjust_target_poses({"third": poses["left_wide"]}, readings, eyes=EYES_OF, start=head)
-    with pytest.raises(VergenceError, match="right_wide sits in the right eye of start"):
-        adjust_target_poses(poses, readings, eyes=dict.fromkeys(poses, "left"), start=head)
-
-
-@pytest.mark.parametrize("noise", [0.0, 1e-3])
-def test_poses_that_stay_the_same_while_the_eye_turns_are_refused(noise: float):
+def test_poses_that_stay_the_same_while_the_eye_turns_are_void():
     rng = np.random.default_rng(3)
     head = head_of("pan, tilt", rng)
     poses, readings = measured(head, rng)
-    V = len(readings)
-    poses["right_wide"] = boxplus(poses["right_wide"][0], rng.normal(0, noise, (V, 6)))
-    for start, placement in ((head, None), (head, np.arange(V)), (None, None)):
-        with pytest.raises(VergenceError, match=r"right_wide turn by .* measurement stuck"):
-            adjust_target_poses(poses, readings, eyes=EYES_OF, start=start, placement=placement)
+    poses["right_wide"] = boxplus(poses["right_wide"][0], rng.normal(0, 1e-3, (40, 6)))
+    found = adjust_target_poses(poses, readings, eyes=EYES_OF)
+    assert "right_wide.T_eye_cam is not observable" in texts(found.findings, "void")[0]
 
 
 def test_noisy_poses_give_the_stated_error():
@@ -127,8 +114,7 @@ def test_unknown_noise_of_poses_and_of_readings_is_found():
     head = head_of("pan, tilt", rng)
     poses, readings = measured(head, rng, pose_std=(0.003, 0.0006), joint_std=0.002)
     found = estimate(head, poses, readings)
-    assert found.pose_std is not None
-    levels = [*found.pose_std, found.joint_std[0]]
+    levels = [*(found.levels[name] for name in POSE_LEVELS), found.joint_std[0]]
     np.testing.assert_allclose(levels, [0.003, 0.0006, 0.002], rtol=0.2)
 
 
@@ -138,21 +124,20 @@ def test_a_stated_covariance_is_used_and_its_factor_found():
     poses, readings = measured(head, rng, pose_std=(0.002, 0.0004), joint_std=0.001, views=60)
     stated = np.diag(np.repeat([0.001, 0.0002], 3) ** 2)
     found = estimate(head, poses, readings, stated)
-    assert found.noise_factor == pytest.approx(2, rel=0.15)
-    assert found.pose_std is None
+    assert found.pixel_std_px == pytest.approx(2, rel=0.15)
 
 
 def test_wrong_arguments_are_refused():
     rng = np.random.default_rng(0)
     head = head_of("pan, tilt", rng)
     poses, readings = measured(head, rng, views=10)
-    with pytest.raises(VergenceError, match=r"are \(10, 4, 4\) for each camera"):
+    with pytest.raises(VergenceError, match=r"poses by left_wide of shape \(10, 4, 4\)"):
         adjust_target_poses({"left_wide": poses["left_wide"][:5]}, readings, eyes=EYES_OF)
     with pytest.raises(VergenceError, match="in which eye right_wide"):
         adjust_target_poses(poses, readings, eyes={"left_wide": "left"})
-    with pytest.raises(VergenceError, match=r"eye is \(10, 4\) readings"):
+    with pytest.raises(VergenceError, match=r"need eye of shape \(10, 4\)"):
         adjust_target_poses(poses, readings[:, :3], eyes=EYES_OF)
-    with pytest.raises(VergenceError, match=r"each of 10 views, found shape \(9,\)"):
+    with pytest.raises(VergenceError, match=r"need placement of shape \(10,\), found \(9,\)"):
         adjust_target_poses(poses, readings, eyes=EYES_OF, placement=np.zeros(9, int))
     for wrong in (-np.eye(6), np.full((6, 6), np.nan), np.eye(6) + np.diag([np.nan], 5)):
         covariance = dict.fromkeys(poses, wrong)
@@ -160,10 +145,10 @@ def test_wrong_arguments_are_refused():
             adjust_target_poses(poses, readings, eyes=EYES_OF, covariance=covariance)
     with pytest.raises(VergenceError, match="in radians; found a joint at 15, more than a turn"):
         adjust_target_poses(poses, np.full((10, 4), 15.0), eyes=EYES_OF)
-    with pytest.raises(VergenceError, match="noise_factor is above 0, found -1"):
-        adjust_target_poses(poses, readings, eyes=EYES_OF, noise_factor=-1.0)
+    with pytest.raises(VergenceError, match="pixel_std_px is above 0, found -1"):
+        NoiseModel(pixel_std_px=-1.0)
     with pytest.raises(VergenceError, match="joint_std is a standard deviation"):
-        adjust_target_poses(poses, readings, eyes=EYES_OF, joint_std=np.nan)
+        NoiseModel(joint_std=np.nan)
     unread = readings.copy()
     unread[3] = np.nan
     with pytest.raises(VergenceError, match="in view 3, but its joint reading is not finite"):

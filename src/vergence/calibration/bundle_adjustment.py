@@ -80,10 +80,11 @@ USUAL_JOINT = 0.002
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """What is known of the noise before the data are."""
+    """What is known of the noise before the data are; VergenceError for what no noise is."""
 
     pixel_std_px: float | None = None
-    """Of one coordinate of a corner; None: estimated."""
+    """Of one coordinate of a corner, or the factor on the stated deviations of measured poses;
+    None: estimated."""
     joint_std: float | Sequence[float] | None = None
     """Of the readings [rad], one number or one of each kind (see `kinematics.reading_kinds`), or,
     for poses, ([rad], [m]); None: estimated, and backlash as well; 0: the readings are exact."""
@@ -91,6 +92,17 @@ class NoiseModel:
     """Standard deviations beyond which a corner or a reading loses weight."""
     levels: Levels = field(default_factory=dict)
     """Noise levels by name, of an estimate before; they are not estimated again."""
+
+    def __post_init__(self) -> None:
+        for name in ("pixel_std_px", "outlier"):
+            value = getattr(self, name)
+            if value is not None and not value > 0:
+                raise VergenceError(f"{name} is above 0, found {value:g}.")
+        std = np.array([] if self.joint_std is None else self.joint_std)
+        if not ((std >= 0) & np.isfinite(std)).all():
+            raise VergenceError(
+                f"joint_std is a standard deviation, 0 or more; found {self.joint_std}."
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -427,16 +439,6 @@ def _residuals(problem: BundleProblem, found: Adjustment, views: int) -> dict[st
             residuals[name] = np.full((views, *errors.shape[1:]), np.nan)
             residuals[name][detections.views[mine]] = errors[mine]
     return residuals
-
-
-def check_noise(joint_std: float | tuple[float, float] | None, **above_zero: float | None) -> None:
-    """Raise VergenceError unless noise of readings is 0 or more, and named values are above 0."""
-    for name, value in above_zero.items():
-        if value is not None and not value > 0:
-            raise VergenceError(f"{name} is above 0, found {value:g}.")
-    levels = np.array([] if joint_std is None else joint_std)
-    if levels.size and not ((levels >= 0) & np.isfinite(levels)).all():
-        raise VergenceError(f"joint_std is a standard deviation, 0 or more; found {joint_std}.")
 
 
 def fixed_by_default(start: HeadCalibration, *, timed: bool) -> set[str]:

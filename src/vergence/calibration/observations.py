@@ -97,12 +97,7 @@ class Observations:
             wanted["T_base_eye"] = self.T_base_eye, (V, 2, 4, 4)
         if self.last_motion is not None:
             wanted["last_motion"] = self.last_motion, self.eye_angles.shape
-        for name, (array, shape) in wanted.items():
-            if np.shape(array) != shape:
-                raise VergenceError(
-                    f"Observations of {counted(V, 'view')} of {counted(K, 'corner')} need {name} "
-                    f"of shape {shape}, found {np.shape(array)}."
-                )
+        check_shapes(f"Observations of {counted(K, 'corner')}", V, wanted)
         for name, corners in self.corners.items():
             if np.isinf(corners).any():
                 raise VergenceError(
@@ -215,6 +210,18 @@ class PoseObservations:
     def name_of_view(self, row: int) -> str:
         """Name a view by its number."""
         return f"view {row}"
+
+
+def check_shapes(
+    what: str, views: int, wanted: Mapping[str, tuple[np.ndarray, tuple[int, ...]]]
+) -> None:
+    """Raise a VergenceError for an array that has not the shape stated by its name."""
+    for name, (array, shape) in wanted.items():
+        if np.shape(array) != shape:
+            raise VergenceError(
+                f"{what} in {counted(views, 'view')} need {name} of shape {shape}, found "
+                f"{np.shape(array)}."
+            )
 
 
 def camera_eyes(observations: Observations) -> dict[str, Side]:
