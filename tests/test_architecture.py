@@ -37,6 +37,8 @@ OUTER_LIBRARIES = {
     "av": ("recordings.video",),
     "rosbags": ("recordings.ros", "recordings.bag"),
     "lz4": ("recordings.ros",),
+    "dynamixel_sdk": ("live.uvc_servos",),
+    "scservo_sdk": ("live.uvc_servos",),
     "tyro": ("cli",),
     "rich": ("cli",),
 }

@@ -1,0 +1,292 @@
+"""A head of USB cameras and servos on a serial line, Dynamixel or Feetech: a driver to copy.
+
+Copy this file, edit the constants at its top, and name the copy to a command:
+
+    vergence capture --driver my_head.py:UvcServoHead --out my_recording
+
+Set ids, position control and one baud rate with the maker's program. Adapters by FTDI answer after
+16 ms unless their latency_timer is 1 ms.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.data.dataset import Frame
+from vergence.data.description import DatasetCamera, DatasetJoint, Description
+from vergence.errors import VergenceError
+from vergence.gaze.commands import HeadCommand, JointLimits, hold, setpoint
+from vergence.geometry.board import Board, Chessboard
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """The package for a family of servos with 4096 positions a turn, and their registers."""
+
+    package: str
+    module: str
+    version: float
+    torque: int
+    goal: int
+    position: int
+    size: int
+    """Bytes of goal and of position, the lowest first."""
+
+
+@dataclass(frozen=True)
+class Servo:
+    """The servo of a joint."""
+
+    id: int
+    zero: int
+    """Position [ticks] with the joint at zero; the camera then looks straight ahead."""
+    sign: Literal[1, -1]
+    """1 if positions grow while a pan joint turns to the left, a tilt joint down."""
+    range_rad: tuple[float, float]
+    """Ends of the joint's motion [rad], where nothing touches yet."""
+    speed_rad_s: float = 5.0
+    """Maximum speed of the set points [rad/s], below the servo's own."""
+
+
+DYNAMIXEL = Protocol("dynamixel_sdk", "dynamixel_sdk", 2.0, 64, 116, 132, 4)
+"""X series, protocol 2.0; registers as in its manual."""
+FEETECH = Protocol("feetech-servo-sdk", "scservo_sdk", 0, 40, 42, 56, 2)
+"""STS and SMS series; registers as in their memory table. The SCS series has no sync read."""
+PROTOCOL, PORT, BAUD = DYNAMIXEL, "/dev/ttyUSB0", 1_000_000
+SERVOS: Mapping[str, Servo] = {
+    "left_pan": Servo(1, 2048, 1, (-0.6, 0.6)),
+    "left_tilt": Servo(2, 2048, -1, (-0.5, 0.5)),
+    "right_pan": Servo(3, 2048, 1, (-0.6, 0.6)),
+    "right_tilt": Servo(4, 2048, -1, (-0.5, 0.5)),
+}
+"""Servos by joint: those of the neck from the body outwards, then those of the eyes."""
+SHARED: Mapping[str, str] = {}
+"""Joints that the servo of another joint moves too, such as {"right_tilt": "left_tilt"}."""
+CAMERAS: Mapping[str, tuple[int | str, DatasetCamera]] = {
+    "left_camera": (0, DatasetCamera("left", width=640, height=480)),
+    "right_camera": (2, DatasetCamera("right", width=640, height=480)),
+}
+"""Cameras by name: N of /dev/videoN, or a lasting name as in /dev/v4l/by-path; and the camera."""
+BOARD: Board = Chessboard(columns=9, rows=6, square_m=0.03)
+LATENCY_S = 0.0
+"""Time from exposure to arrival of an image [s]; `calibrate` estimates it from moving eyes."""
+TICKS = 4096
+"""Positions in a turn."""
+PERIOD_S = 0.005
+"""Time between set points [s]; four servos answer in 2 ms at 1 Mbaud."""
+WAIT_S = 0.2
+"""Time after which `read` gives up for the moment [s]; six frames."""
+GAP_S = 0.03
+"""Longest time between an image and the nearest positions [s]; a frame, six set points."""
+FAILED_S = 1.0
+"""Time without images or positions after which a camera or servo has failed [s]."""
+
+
+class ServoBus:
+    """The servos of a serial line, for one thread at a time."""
+
+    def __init__(self, protocol: Protocol, port: str, ids: Sequence[int]):
+        """Open the line. VergenceError if the package or the line is missing."""
+        try:
+            self._sdk = import_module(protocol.module)
+        except ImportError:
+            package = protocol.package
+            raise VergenceError(f"These servos need a package: pip install {package}") from None
+        self._protocol, self._port, self._ids = protocol, port, ids
+        self._packets = self._sdk.PacketHandler(protocol.version)
+        self._line = self._sdk.PortHandler(port)
+        try:
+            if not self._line.setBaudRate(BAUD):
+                raise VergenceError(f"{protocol.package} has no baud rate of {BAUD}.")
+        except OSError as error:
+            raise VergenceError(
+                f"The servos' line cannot be opened: {error}. Is the adapter plugged in, and is "
+                "this user in its group (Debian: dialout)?"
+            ) from None
+        self._line.ser.timeout = 0.002  # [s]; the packages would poll without a pause
+        registers = protocol.position, protocol.size
+        self._reader = self._sdk.GroupSyncRead(self._line, self._packets, *registers)
+        for each in ids:
+            self._reader.addParam(each)
+
+    def read(self) -> Array:
+        """Read the positions (n,) [ticks]; VergenceError for a missing or damaged answer."""
+        self._line.ser.reset_input_buffer()  # Feetech's package would take late answers for new
+        result, answers = self._reader.txRxPacket(), self._reader.data_dict
+        values = [int.from_bytes(bytes(answers[each]), "little") for each in self._ids]
+        for each, value in zip(self._ids, values, strict=True):
+            if len(answers[each]) != self._protocol.size or value >= TICKS:
+                raise VergenceError(
+                    f"Servo {each} on {self._port} does not answer with a position within a turn; "
+                    f"check its id, its baud rate (here {BAUD}), cable and supply."
+                )
+        if result != 0:
+            raise VergenceError(
+                f"The line {self._port} fails: {self._packets.getTxRxResult(result)}"
+            )
+        return np.array(values, float)
+
+    def move(self, positions: Array) -> None:
+        """Send the servos to positions (n,) [ticks]."""
+        goals = np.clip(np.rint(positions), 0, TICKS - 1).astype(int).tolist()
+        self._write(self._protocol.goal, self._protocol.size, goals)
+
+    def switch_on(self) -> None:
+        """Let the motors go to their goals, and hold them."""
+        self._write(self._protocol.torque, 1, [1] * len(self._ids))
+
+    def _write(self, register: int, size: int, values: Sequence[int]) -> None:
+        writer = self._sdk.GroupSyncWrite(self._line, self._packets, register, size)
+        for each, value in zip(self._ids, values, strict=True):
+            writer.addParam(each, list(value.to_bytes(size, "little")))
+        writer.txPacket()
+
+    def close(self) -> None:
+        """Close the line; the motors hold their goals."""
+        self._line.closePort()
+
+
+def open_camera(name: str, device: int | str, camera: DatasetCamera) -> cv2.VideoCapture:
+    """Open a camera. VergenceError if it gives no images of its size."""
+    capture, size = cv2.VideoCapture(device), (camera.width, camera.height)
+    capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*"MJPG"))  # several share a bus
+    capture.set(cv2.CAP_PROP_FRAME_WIDTH, size[0])
+    capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size[1])
+    capture.set(cv2.CAP_PROP_AUTOFOCUS, 0)  # a lens that moves cannot be calibrated
+    sent, image = capture.read()
+    if sent and image.shape[1::-1] == size:
+        return capture
+    capture.release()
+    given = "images of {} x {}".format(*image.shape[1::-1]) if sent else "no images"
+    raise VergenceError(f"The camera {name} ({device}) gives {given}, not {size[0]} x {size[1]}.")
+
+
+class UvcServoHead:
+    """The driver: a thread sends set points and reads positions, others keep the latest images."""
+
+    def __init__(self) -> None:
+        """Open the devices, and hold the posture. VergenceError names what is missing."""
+        column = {name: name for name in SERVOS} | dict(SHARED)
+        self.description = Description(
+            cameras={name: camera for name, (_, camera) in CAMERAS.items()},
+            board=BOARD,
+            joints={joint: DatasetJoint(name, unit="rad") for joint, name in column.items()},
+        )
+        self._neck = len(self.description.neck_joints)
+        joints = self.description.neck_joints + self.description.head_kinematics.readings
+        order = [SERVOS[name] for name in joints]
+        ranges = np.array([servo.range_rad for servo in order])
+        self.limits = JointLimits(ranges, np.array([s.speed_rad_s for s in order]), joints)
+        self._zero = np.array([servo.zero for servo in order])
+        self._rad = np.array([servo.sign for servo in order]) * 2 * np.pi / TICKS
+        self._measured: deque[tuple[float, Array]] = deque(maxlen=round(FAILED_S / PERIOD_S))
+        self._images: dict[str, tuple[float, np.ndarray]] = {}
+        self._answered_s, self._given_s = self.now_s(), dict.fromkeys(CAMERAS, self.now_s())
+        self._stopped = threading.Event()
+        self._error: Exception | None = None
+        with ExitStack() as opened:
+            self._bus = ServoBus(PROTOCOL, PORT, [servo.id for servo in order])
+            opened.callback(self._bus.close)
+            while not self._measured:
+                self._measure()
+            self._command = hold(self._measured[-1][1], self.limits, self.now_s())
+            self._follow()
+            self._bus.switch_on()
+            captures = {name: open_camera(name, *of) for name, of in CAMERAS.items()}
+            for capture in captures.values():
+                opened.callback(capture.release)
+            self._opened = opened.pop_all()
+        self._threads = [threading.Thread(target=self._run)]
+        self._threads += [threading.Thread(target=self._keep, args=of) for of in captures.items()]
+        for thread in self._threads:
+            thread.daemon = True  # ends with the program, if close is not called
+            thread.start()
+
+    def _measure(self) -> None:
+        """Keep the present angles; damaged answers are left out until there were none for long."""
+        asked_s = self.now_s()
+        try:
+            angles = (self._bus.read() - self._zero) * self._rad
+        except VergenceError:
+            if asked_s - self._answered_s > FAILED_S:
+                raise
+            return
+        self._measured.append((asked_s, angles))
+        self._answered_s = asked_s
+
+    def _follow(self) -> None:
+        self._bus.move(self._zero + setpoint(self._command, self.now_s()) / self._rad)
+
+    def _run(self) -> None:
+        try:
+            while not self._stopped.wait(PERIOD_S):
+                self._measure()
+                self._follow()
+        except Exception as error:  # of the line, or of its package
+            self._error = error
+
+    def _keep(self, name: str, capture: cv2.VideoCapture) -> None:
+        while not self._stopped.is_set():
+            if not capture.grab():
+                time.sleep(PERIOD_S)  # unplugged
+                continue
+            arrived_s = self.now_s()  # before the image is decoded
+            decoded, image = capture.retrieve()
+            if decoded:
+                self._images[name] = arrived_s, cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+
+    def now_s(self) -> float:
+        """Read the clock of images and positions [s]."""
+        return time.monotonic()
+
+    def read(self, cameras: Sequence[str]) -> Frame | None:
+        """Wait for new images of these cameras, and take the readings at their mean time.
+
+        None if an image or positions about its time are missing. Raises VergenceError if a camera
+        or a servo has failed.
+        """
+        until_s = self.now_s() + WAIT_S
+        while waiting := [name for name in cameras if not self._is_new(name)]:
+            if self.now_s() > until_s:
+                if until_s - self._given_s[waiting[0]] > FAILED_S:
+                    raise VergenceError(f"The camera {waiting[0]} gives no images any more.")
+                return None
+            time.sleep(PERIOD_S / 2)
+        taken = {name: self._images[name] for name in cameras}
+        self._given_s |= {name: arrived_s for name, (arrived_s, _) in taken.items()}
+        arrived_s = [arrived_s for arrived_s, _ in taken.values()] or [self.now_s()]
+        time_s = float(np.mean(arrived_s)) - LATENCY_S
+        times, postures = map(np.array, zip(*tuple(self._measured), strict=True))
+        if np.abs(times - time_s).min() > GAP_S:
+            if self._error is not None:
+                raise VergenceError(f"The servos have failed: {self._error}")
+            return None
+        angles = np.array([np.interp(time_s, times, column) for column in postures.T])
+        images = {name: image for name, (_, image) in taken.items()}
+        return Frame(time_s, time_s, angles[self._neck :], angles[: self._neck], images)
+
+    def _is_new(self, name: str) -> bool:
+        return name in self._images and self._images[name][0] > self._given_s[name]
+
+    def command(self, command: HeadCommand) -> None:
+        """Follow a command from now on."""
+        self._command = command
+
+    def close(self) -> None:
+        """Stop the joints where they are, and release cameras and line."""
+        self._stopped.set()
+        for thread in self._threads:
+            thread.join()
+        with suppress(Exception), self._opened:  # the line may have failed
+            self._bus.move(self._bus.read())
