@@ -267,6 +267,8 @@ class UvcServoHead:
         self._given_s |= {name: arrived_s for name, (arrived_s, _) in taken.items()}
         arrived_s = [arrived_s for arrived_s, _ in taken.values()] or [self.now_s()]
         time_s = float(np.mean(arrived_s)) - LATENCY_S
+        while self._measured[-1][0] < time_s and self.now_s() < until_s:
+            time.sleep(PERIOD_S / 2)
         times, postures = map(np.array, zip(*tuple(self._measured), strict=True))
         if np.abs(times - time_s).min() > GAP_S:
             if self._error is not None:
