@@ -8,7 +8,7 @@ turned or slanted by a few degrees; its size may vary within the given scales.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -86,7 +86,7 @@ def _templates(grey: np.ndarray, scales: Sequence[float]) -> list[np.ndarray]:
     """Resize a picture (h, w) to several scales; VergenceError if all are too small or too flat."""
     sizes = [[round(scale * side) for side in grey.shape[::-1]] for scale in scales]
     resized = [_resized(grey, size) for size in sizes if min(size) >= LEAST_SIDE_PX]
-    templates = [each for each in resized if _reduced(each, _octaves(each)).std() >= LEAST_CONTRAST]
+    templates = [template for template in resized if template.std() >= LEAST_CONTRAST]
     if not templates:
         raise VergenceError(
             f"At none of the scales ({', '.join(f'{scale:g}' for scale in scales)}) a template of "
@@ -94,15 +94,6 @@ def _templates(grey: np.ndarray, scales: Sequence[float]) -> list[np.ndarray]:
             f"of {LEAST_CONTRAST:g} grey levels."
         )
     return templates
-
-
-def _octaves(template: np.ndarray) -> int:
-    """Count the powers of two by which a template is reduced for the search."""
-    return int(np.log2(min(template.shape) / LEAST_SIDE_PX))
-
-
-def _reduced(image: np.ndarray, octaves: int) -> np.ndarray:
-    return _resized(image, [max(round(side / 2**octaves), 1) for side in image.shape[::-1]])
 
 
 def _resized(image: np.ndarray, size: Sequence[int]) -> np.ndarray:
@@ -113,52 +104,26 @@ def _resized(image: np.ndarray, size: Sequence[int]) -> np.ndarray:
 
 
 def _best(image: np.ndarray, templates: Sequence[np.ndarray]) -> _Match | None:
-    """Find the best match in an image (H, W) over the templates, coarse to fine; None: none fits.
-
-    The search is in an image reduced so far that the template's sides keep eight pixels.
-    """
-    reduced = {octaves: _reduced(image, octaves) for octaves in set(map(_octaves, templates))}
-    matches = []
-    for template in templates:
-        octaves = _octaves(template)
-        coarse = _match(reduced[octaves], _reduced(template, octaves))
-        if coarse is not None:
-            step = 2**octaves
-            matches.append(_match_near(image, template, step * coarse.corner, step + 1))
-    found = [match for match in matches if match is not None]
-    return max(found, key=lambda match: match.score, default=None)
+    """Find the best match in an image (H, W) over the templates; None: all are larger."""
+    matches = (_match(image, template) for template in templates)
+    return max(filter(None, matches), key=lambda match: match.score, default=None)
 
 
 def _refine_size(image: np.ndarray, picture: np.ndarray, match: _Match) -> _Match:
-    """Interpolate the size at which a picture resembles the image (H, W) most, near a match.
+    """Interpolate the size at which a picture resembles the image (H, W) most, about a match.
 
     With a wrong size the parts of an uneven picture shift its centre. The best size is at the peak
     of a parabola through the scores of three sizes.
     """
-    h, w = match.template.shape
 
-    def resized(power: float) -> _Match | None:
-        size = [round(1.1**power * side) for side in (w, h)]  # half the step of the scales
-        corner = match.corner + (np.array([w, h]) - size) / 2
-        return _match_near(image, _resized(picture, size), corner, 2)
+    def resized(power: float) -> np.ndarray:  # by half the step of the scales
+        return _resized(picture, [round(1.1**power * side) for side in match.template.shape[::-1]])
 
-    smaller, larger = resized(-1.0), resized(1.0)
+    smaller, larger = _match(image, resized(-1)), _match(image, resized(1))
     if smaller is None or larger is None:
         return match
-    best = resized(_vertex(np.array([smaller.score, match.score, larger.score])))
-    candidates = [each for each in (match, smaller, larger, best) if each is not None]
-    return max(candidates, key=lambda each: each.score)
-
-
-def _match_near(
-    image: np.ndarray, template: np.ndarray, corner: Array, radius: int
-) -> _Match | None:
-    """Find the best match with its corner (2,) [px] near a given one; None: it does not fit."""
-    h, w = template.shape
-    u, v = corner.round().astype(int)
-    u0, v0 = max(u - radius, 0), max(v - radius, 0)
-    match = _match(image[v0 : v + h + radius, u0 : u + w + radius], template)
-    return None if match is None else replace(match, corner=match.corner + np.array([u0, v0]))
+    best = _match(image, resized(_vertex(np.array([smaller.score, match.score, larger.score]))))
+    return max(filter(None, (match, smaller, larger, best)), key=lambda each: each.score)
 
 
 def _match(image: np.ndarray, template: np.ndarray) -> _Match | None:
