@@ -21,7 +21,7 @@ from recordings import (
     write_table,
 )  # fmt: skip
 from vergence.data.dataset import runs
-from vergence.data.images import decode_image, image_size, to_8_bits
+from vergence.data.images import decode_image, to_8_bits
 from vergence.data.reader import _unmarked_motion, load_dataset
 from vergence.errors import VergenceError
 from vergence.geometry.kinematics import Kinematics
@@ -114,7 +114,7 @@ def test_a_hot_pixel_and_a_narrow_range_leave_an_image_of_16_bits_its_contrast(o
     np.testing.assert_allclose(found, grey, atol=3)
 
 
-@pytest.mark.parametrize("kind", ["PNG", "TIFF", "JPEG"])
+@pytest.mark.parametrize("kind", ["PNG", "JPEG"])
 def test_pixels_stay_as_they_are_stored_whatever_the_orientation(kind):
     stored = cv2.resize(np.random.default_rng(0).integers(0, 255, (3, 4, 3), np.uint8), (32, 24))
     for dtype in (np.uint8, np.uint16):
@@ -126,7 +126,6 @@ def test_pixels_stay_as_they_are_stored_whatever_the_orientation(kind):
             exif, content = Image.Exif(), BytesIO()
             exif[274] = orientation
             image.save(content, kind, exif=exif)
-            assert image_size(content.getvalue()) == (32, 24)
             found.append(decode_image(content.getvalue()))
         for each in found:
             np.testing.assert_array_equal(each, found[0] if kind == "JPEG" else np.asarray(image))

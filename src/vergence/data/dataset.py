@@ -14,7 +14,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.description import DESCRIPTION, FRAMES, Description
-from vergence.data.images import MAX_IMAGE_BYTES, UNREADABLE, decode_image, image_size, to_8_bits
+from vergence.data.images import MAX_IMAGE_BYTES, UNREADABLE, decode_image, to_8_bits
 from vergence.data.timing import JointStream, Timing, moved_readings
 from vergence.errors import VergenceError, counted
 from vergence.files import read_bytes
@@ -113,18 +113,15 @@ class Dataset:
         name, stated = self.files[camera][row], self.description.cameras[camera]
         if name is None:
             return None
-        content = read_bytes(self.folder / name, MAX_IMAGE_BYTES)
-        size = image_size(content)
-        if size is None:
-            return None
-        if size != (stated.width, stated.height):
-            raise VergenceError(
-                f"{self.where(row)}: {camera}: {name} has {size[0]} x {size[1]} pixels, but "
-                f"dataset.json says {stated.width} x {stated.height}."
-            )
-        image = decode_image(content)
+        image = decode_image(read_bytes(self.folder / name, MAX_IMAGE_BYTES))
         if image is None:
             return None
+        height, width = image.shape[:2]
+        if (width, height) != (stated.width, stated.height):
+            raise VergenceError(
+                f"{self.where(row)}: {camera}: {name} has {width} x {height} pixels, but "
+                f"dataset.json says {stated.width} x {stated.height}."
+            )
         if image.ndim == 2:
             image = cv2.cvtColor(image, cv2.COLOR_GRAY2RGB)
         return to_8_bits(image, stated.bits)
