@@ -1,7 +1,4 @@
-"""Read and check the tables of a dataset, frames.csv and joints.csv.
-
-The writer of datasets checks its rows with the same functions.
-"""
+"""Read and check the tables of a dataset, frames.csv and joints.csv."""
 
 from __future__ import annotations
 

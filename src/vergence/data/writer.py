@@ -25,13 +25,10 @@ from vergence.data.description import (
     TIME,
     Description,
 )
-from vergence.data.table import Table, joint_angles, measured_eye_poses, placements, time_stamps
+from vergence.data.reader import load_dataset
 from vergence.errors import VergenceError
 from vergence.files import whole_folder
 from vergence.geometry.kinematics import EYES
-
-_Cells = dict[str, object]
-"""A row of frames.csv by column, without its images."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,12 +68,16 @@ def write_dataset(
         (part / DESCRIPTION).write_bytes(text)
         _write_frames(part, description, rows)
         beside(part)
+        try:
+            load_dataset(part)
+        except VergenceError as error:
+            raise VergenceError(str(error).replace(str(part), str(folder))) from None
 
 
 def _write_frames(folder: Path, description: Description, rows: Iterable[DatasetRow]) -> None:
     workers = os.cpu_count() or 1
     pending: deque[Future[None]] = deque()
-    written: list[_Cells] = []
+    number = -1
     with (
         (folder / FRAMES).open("w", encoding="utf-8", newline="") as file,
         ThreadPoolExecutor(workers) as pool,
@@ -85,10 +86,8 @@ def _write_frames(folder: Path, description: Description, rows: Iterable[Dataset
         table.writeheader()
         for number, row in enumerate(rows):
             _check_images(description, row.frame)
-            written.append(_cells(description, row))
-            _check_rows(description, written, max(0, number - 1))  # stop at an invalid row
             images = {camera: f"images/{number:05d}_{camera}.png" for camera in row.frame.images}
-            table.writerow(written[-1] | images)
+            table.writerow(_cells(description, row) | images)
             for camera, image in row.frame.images.items():
                 # A copy, since a driver may write its next image into the same array.
                 copied = np.array(image)
@@ -97,29 +96,14 @@ def _write_frames(folder: Path, description: Description, rows: Iterable[Dataset
                 pending.popleft().result()
         for each in pending:
             each.result()
-    if not written:
+    if number < 0:
         raise VergenceError("A dataset has one row or more; found none.")
-    _check_rows(description, written, 0)
 
 
-def _check_rows(description: Description, rows: list[_Cells], first: int) -> None:
-    """Check rows from the first one as the reader does."""
-    checked = rows[first:]
-    texts = [["" if cell is None else str(cell) for cell in row.values()] for row in checked]
-    columns = dict(zip(checked[0], zip(*texts, strict=True), strict=True))
-    table = Table(Path(FRAMES), tuple(range(first + 2, len(rows) + 2)), columns)
-    time_stamps(table)
-    joint_angles(description, description.head_kinematics.readings, table)
-    neck = description.neck_joints
-    placements(neck, joint_angles(description, neck, table), table)
-    if description.eye_motion == "poses":
-        measured_eye_poses(description, table)
-
-
-def _cells(description: Description, row: DatasetRow) -> _Cells:
+def _cells(description: Description, row: DatasetRow) -> dict[str, object]:
     """Make a row's cells by column, without its images."""
     frame = row.frame
-    cells: _Cells = {
+    cells: dict[str, object] = {
         TIME: frame.time_s,
         JOINT_TIME: frame.joint_time_s,
         PLACEMENT: row.placement,
