@@ -65,7 +65,7 @@ class Pictures:
 def bus(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[SimulatedBus]:
     """Edit the constants of the driver for servos on a simulated line."""
     protocol, line = LINES[request.param]
-    pytest.importorskip(protocol.module)
+    pytest.importorskip(protocol[0])
     positions = dict(zip(ORDER, (2048, 2100, 2100, 1500), strict=True))
     found = line({servo: SimulatedServo(p, p) for servo, p in positions.items()})
     camera = DatasetCamera("left", width=64, height=48)
@@ -169,7 +169,7 @@ def test_a_servo_that_is_missing_is_named(bus):
 
 def test_answers_that_come_late_are_not_taken_for_the_next(bus):
     """An answer after the time-out waits in the buffer when the next request is sent."""
-    line = uvc_servos.ServoBus(uvc_servos.PROTOCOL, bus.port, ORDER)
+    line = uvc_servos.ServoBus(ORDER)
     bus.silent.add(1)  # the answers of the two behind it stay in the buffer
     with pytest.raises(VergenceError, match="Servo 1"):
         line.read()
@@ -184,6 +184,7 @@ def test_a_camera_that_is_unplugged_or_of_another_size_is_named(bus, head, monke
     monkeypatch.setattr(Pictures, "plugged", False)
     with pytest.raises(VergenceError, match="The camera left_camera gives no images any more"):
         read_for_long(head)
+    head.close()
     cameras = {"left_camera": (0, DatasetCamera("left", width=640, height=480))}
     monkeypatch.setattr(uvc_servos, "CAMERAS", cameras)
     with pytest.raises(VergenceError, match="gives images of 64 x 48, not 640 x 480"):
@@ -194,6 +195,6 @@ def test_a_missing_line_or_package_is_one_sentence(bus, monkeypatch):
     monkeypatch.setattr(uvc_servos, "PORT", "/dev/no-such-port")
     with pytest.raises(VergenceError, match=r"line cannot be opened.*dialout"):
         UvcServoHead()
-    monkeypatch.setitem(sys.modules, uvc_servos.PROTOCOL.module, None)
-    with pytest.raises(VergenceError, match=f"pip install {uvc_servos.PROTOCOL.package}"):
+    monkeypatch.setitem(sys.modules, uvc_servos.PROTOCOL[0], None)
+    with pytest.raises(VergenceError, match=r"pip install 'vergence\[dynamixel\]'"):
         UvcServoHead()

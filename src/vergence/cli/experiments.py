@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from contextlib import nullcontext
+from contextlib import closing, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -144,16 +144,53 @@ def record(
     return Report("Dataset", (), None, files=files)
 
 
-def foveate(*, trials: int = 100, options: ExperimentArguments = EXPERIMENT) -> Report:
+def foveate(
+    *,
+    trials: int = 100,
+    driver: Optional[str] = None,
+    calibration: Optional[Path] = None,
+    seconds: float = 10.0,
+    options: ExperimentArguments = EXPERIMENT,
+) -> Report:
     """Show objects, and turn both eyes until the narrow images are centred on them.
 
     Args:
         trials: Number of objects; the first ten are recorded.
+        driver: Driver of a head that looks at a red sphere in place of the twin: module:Name or
+            file.py:Name.
+        calibration: JSON file that `vergence calibrate` wrote of a recording of the driver.
+        seconds: Length of the run of a driver, 1 to 3600 [s].
         options: Common options.
     """
+    if driver is not None:
+        of_twin = replace(options, geometry="joints", out=None, json=None) != EXPERIMENT
+        if of_twin or trials != 100:
+            raise VergenceError("Options of the twin are given, and a driver; choose one of them.")
+        return _fixate(driver, calibration, seconds, options)
+    if calibration is not None or seconds != 10.0:
+        raise VergenceError("The twin calibrates itself, and counts trials; name a --driver.")
     from vergence.demos.foveate import foveate as run
 
     return _experiment("foveate", lambda *of: run(*of, trials=trials)[0], options, "depth.png")
+
+
+def _fixate(
+    name: str, calibration: Path | None, seconds: float, options: ExperimentOptions
+) -> Report:
+    """Let the head of a driver fixate an object, and write the summary."""
+    from vergence.live.driver import open_driver
+    from vergence.live.fixate import fixate
+
+    if calibration is None or not 1 <= seconds <= 3600:
+        raise VergenceError("A driver needs --calibration FILE, and --seconds from 1 to 3600.")
+    check_outputs(options.json, folder=options.out, names=["foveate.json"], inputs=[calibration])
+    head = vg.load_head(calibration)
+    with closing(open_driver(name)) as driver, progress_bars() as progress:
+        found = fixate(driver, head, seconds=seconds, geometry=options.geometry, progress=progress)
+    report = Report("foveate", (as_json(found, digits=4).rstrip(),), found)
+    report.write_json(options.json)
+    report.write_json(options.out and options.out / "foveate.json")
+    return report
 
 
 def track(*, seconds: float = 60.0, options: ExperimentArguments = EXPERIMENT) -> Report:

@@ -4,8 +4,7 @@ Copy this file, edit the constants at its top, and name the copy to a command:
 
     vergence capture --driver my_head.py:UvcServoHead --out my_recording
 
-Set ids, position control and one baud rate with the maker's program. Adapters by FTDI answer after
-16 ms unless their latency_timer is 1 ms.
+Servos need position control and one baud rate, an adapter by FTDI a latency_timer of 1 ms.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Literal
@@ -28,20 +27,6 @@ from vergence.data.description import DatasetCamera, DatasetJoint, Description
 from vergence.errors import VergenceError
 from vergence.gaze.commands import HeadCommand, JointLimits, hold, setpoint
 from vergence.geometry.board import Board, Chessboard
-
-
-@dataclass(frozen=True)
-class Protocol:
-    """The package for a family of servos with 4096 positions a turn, and their registers."""
-
-    package: str
-    module: str
-    version: float
-    torque: int
-    goal: int
-    position: int
-    size: int
-    """Bytes of goal and of position, the lowest first."""
 
 
 @dataclass(frozen=True)
@@ -59,10 +44,10 @@ class Servo:
     """Maximum speed of the set points [rad/s], below the servo's own."""
 
 
-DYNAMIXEL = Protocol("dynamixel_sdk", "dynamixel_sdk", 2.0, 64, 116, 132, 4)
-"""X series, protocol 2.0; registers as in its manual."""
-FEETECH = Protocol("feetech-servo-sdk", "scservo_sdk", 0, 40, 42, 56, 2)
-"""STS and SMS series; registers as in their memory table. The SCS series has no sync read."""
+DYNAMIXEL = ("dynamixel_sdk", 2.0, 64, 116, 132, 4)
+FEETECH = ("scservo_sdk", 0, 40, 42, 56, 2)
+"""Module and protocol; registers of torque, goal and position; bytes of the latter two: X series by
+its manual, STS and SMS series by their memory table. SCS servos have no sync read."""
 PROTOCOL, PORT, BAUD = DYNAMIXEL, "/dev/ttyUSB0", 1_000_000
 SERVOS: Mapping[str, Servo] = {
     "left_pan": Servo(1, 2048, 1, (-0.6, 0.6)),
@@ -85,8 +70,6 @@ TICKS = 4096
 """Positions in a turn."""
 PERIOD_S = 0.005
 """Time between set points [s]; four servos answer in 2 ms at 1 Mbaud."""
-WAIT_S = 0.2
-"""Time after which `read` gives up for the moment [s]; six frames."""
 GAP_S = 0.03
 """Longest time between an image and the nearest positions [s]; a frame, six set points."""
 FAILED_S = 1.0
@@ -96,29 +79,33 @@ FAILED_S = 1.0
 class ServoBus:
     """The servos of a serial line, for one thread at a time."""
 
-    def __init__(self, protocol: Protocol, port: str, ids: Sequence[int]):
-        """Open the line. VergenceError if the package or the line is missing."""
+    def __init__(self, ids: Sequence[int]):
+        """Open the line, and let the motors hold their positions. VergenceError if they do not."""
+        module, protocol, torque, self._goal, position, self._size = PROTOCOL
         try:
-            self._sdk = import_module(protocol.module)
+            self._sdk = import_module(module)
         except ImportError:
-            package = protocol.package
-            raise VergenceError(f"These servos need a package: pip install {package}") from None
-        self._protocol, self._port, self._ids = protocol, port, ids
-        self._packets = self._sdk.PacketHandler(protocol.version)
-        self._line = self._sdk.PortHandler(port)
+            raise VergenceError(
+                f"These servos need the package with {module}: pip install 'vergence[dynamixel]' "
+                "or 'vergence[feetech]'."
+            ) from None
+        self._ids, self._packets = ids, self._sdk.PacketHandler(protocol)
+        self._line = self._sdk.PortHandler(PORT)
         try:
             if not self._line.setBaudRate(BAUD):
-                raise VergenceError(f"{protocol.package} has no baud rate of {BAUD}.")
+                raise VergenceError(f"{module} has no baud rate of {BAUD}.")
         except OSError as error:
             raise VergenceError(
                 f"The servos' line cannot be opened: {error}. Is the adapter plugged in, and is "
                 "this user in its group (Debian: dialout)?"
             ) from None
+        self.close = self._line.closePort
         self._line.ser.timeout = 0.002  # [s]; the packages would poll without a pause
-        registers = protocol.position, protocol.size
-        self._reader = self._sdk.GroupSyncRead(self._line, self._packets, *registers)
+        self._reader = self._sdk.GroupSyncRead(self._line, self._packets, position, self._size)
         for each in ids:
             self._reader.addParam(each)
+        self.move(self.read())
+        self._write(torque, 1, [1] * len(ids))
 
     def read(self) -> Array:
         """Read the positions (n,) [ticks]; VergenceError for a missing or damaged answer."""
@@ -126,35 +113,25 @@ class ServoBus:
         result, answers = self._reader.txRxPacket(), self._reader.data_dict
         values = [int.from_bytes(bytes(answers[each]), "little") for each in self._ids]
         for each, value in zip(self._ids, values, strict=True):
-            if len(answers[each]) != self._protocol.size or value >= TICKS:
+            if len(answers[each]) != self._size or value >= TICKS:
                 raise VergenceError(
-                    f"Servo {each} on {self._port} does not answer with a position within a turn; "
-                    f"check its id, its baud rate (here {BAUD}), cable and supply."
+                    f"Servo {each} on {PORT} does not answer with a position within a turn; check "
+                    f"its id, its baud rate (here {BAUD}), cable and supply."
                 )
         if result != 0:
-            raise VergenceError(
-                f"The line {self._port} fails: {self._packets.getTxRxResult(result)}"
-            )
+            raise VergenceError(f"The line {PORT} fails: {self._packets.getTxRxResult(result)}")
         return np.array(values, float)
 
     def move(self, positions: Array) -> None:
         """Send the servos to positions (n,) [ticks]."""
         goals = np.clip(np.rint(positions), 0, TICKS - 1).astype(int).tolist()
-        self._write(self._protocol.goal, self._protocol.size, goals)
-
-    def switch_on(self) -> None:
-        """Let the motors go to their goals, and hold them."""
-        self._write(self._protocol.torque, 1, [1] * len(self._ids))
+        self._write(self._goal, self._size, goals)
 
     def _write(self, register: int, size: int, values: Sequence[int]) -> None:
         writer = self._sdk.GroupSyncWrite(self._line, self._packets, register, size)
         for each, value in zip(self._ids, values, strict=True):
             writer.addParam(each, list(value.to_bytes(size, "little")))
         writer.txPacket()
-
-    def close(self) -> None:
-        """Close the line; the motors hold their goals."""
-        self._line.closePort()
 
 
 def open_camera(name: str, device: int | str, camera: DatasetCamera) -> cv2.VideoCapture:
@@ -190,51 +167,41 @@ class UvcServoHead:
         self.limits = JointLimits(ranges, np.array([s.speed_rad_s for s in order]), joints)
         self._zero = np.array([servo.zero for servo in order])
         self._rad = np.array([servo.sign for servo in order]) * 2 * np.pi / TICKS
-        self._measured: deque[tuple[float, Array]] = deque(maxlen=round(FAILED_S / PERIOD_S))
         self._images: dict[str, tuple[float, np.ndarray]] = {}
-        self._answered_s, self._given_s = self.now_s(), dict.fromkeys(CAMERAS, self.now_s())
-        self._stopped = threading.Event()
-        self._error: Exception | None = None
+        self._given_s = dict.fromkeys(CAMERAS, self.now_s())
+        self._stopped, self._error = threading.Event(), ""
         with ExitStack() as opened:
-            self._bus = ServoBus(PROTOCOL, PORT, [servo.id for servo in order])
+            self._bus = ServoBus([servo.id for servo in order])
             opened.callback(self._bus.close)
-            while not self._measured:
-                self._measure()
-            self._command = hold(self._measured[-1][1], self.limits, self.now_s())
-            self._follow()
-            self._bus.switch_on()
-            captures = {name: open_camera(name, *of) for name, of in CAMERAS.items()}
-            for capture in captures.values():
+            angles = self._rad * (self._bus.read() - self._zero)
+            self._measured = deque([(self.now_s(), angles)], maxlen=round(FAILED_S / PERIOD_S))
+            self._command = hold(angles, self.limits, self.now_s())
+            threads = [threading.Thread(target=self._move, daemon=True)]
+            for name, (device, camera) in CAMERAS.items():
+                capture = open_camera(name, device, camera)
                 opened.callback(capture.release)
+                threads += [threading.Thread(target=self._keep, args=(name, capture), daemon=True)]
+            for thread in threads:
+                thread.start()
+                opened.callback(thread.join)
             self._opened = opened.pop_all()
-        self._threads = [threading.Thread(target=self._run)]
-        self._threads += [threading.Thread(target=self._keep, args=of) for of in captures.items()]
-        for thread in self._threads:
-            thread.daemon = True  # ends with the program, if close is not called
-            thread.start()
 
-    def _measure(self) -> None:
-        """Keep the present angles; damaged answers are left out until there were none for long."""
-        asked_s = self.now_s()
-        try:
-            angles = (self._bus.read() - self._zero) * self._rad
-        except VergenceError:
-            if asked_s - self._answered_s > FAILED_S:
-                raise
-            return
-        self._measured.append((asked_s, angles))
-        self._answered_s = asked_s
-
-    def _follow(self) -> None:
-        self._bus.move(self._zero + setpoint(self._command, self.now_s()) / self._rad)
-
-    def _run(self) -> None:
+    def _move(self) -> None:
+        """Read positions and send set points; damaged answers are left out, unless for long."""
         try:
             while not self._stopped.wait(PERIOD_S):
-                self._measure()
-                self._follow()
+                asked_s = self.now_s()
+                try:
+                    angles = self._rad * (self._bus.read() - self._zero)
+                    self._measured.append((asked_s, angles))
+                except VergenceError:
+                    if asked_s - self._measured[-1][0] > FAILED_S:
+                        raise
+                wanted = setpoint(self._command, self.now_s())
+                self._bus.move(self._zero + wanted / self._rad)
+            self._bus.move(self._bus.read())
         except Exception as error:  # of the line, or of its package
-            self._error = error
+            self._error = f"The servos have failed: {error}"
 
     def _keep(self, name: str, capture: cv2.VideoCapture) -> None:
         while not self._stopped.is_set():
@@ -253,33 +220,27 @@ class UvcServoHead:
     def read(self, cameras: Sequence[str]) -> Frame | None:
         """Wait for new images of these cameras, and take the readings at their mean time.
 
-        None if an image or positions about its time are missing. Raises VergenceError if a camera
-        or a servo has failed.
+        None if positions about that time were damaged. VergenceError if a device has failed.
         """
-        until_s = self.now_s() + WAIT_S
-        while waiting := [name for name in cameras if not self._is_new(name)]:
-            if self.now_s() > until_s:
-                if until_s - self._given_s[waiting[0]] > FAILED_S:
-                    raise VergenceError(f"The camera {waiting[0]} gives no images any more.")
-                return None
+        given_s, last = self._given_s, (0.0, None)
+        while waiting := [n for n in cameras if self._images.get(n, last)[0] <= given_s[n]]:
+            if self.now_s() > given_s[waiting[0]] + FAILED_S:
+                raise VergenceError(f"The camera {waiting[0]} gives no images any more.")
             time.sleep(PERIOD_S / 2)
         taken = {name: self._images[name] for name in cameras}
         self._given_s |= {name: arrived_s for name, (arrived_s, _) in taken.items()}
         arrived_s = [arrived_s for arrived_s, _ in taken.values()] or [self.now_s()]
         time_s = float(np.mean(arrived_s)) - LATENCY_S
-        while self._measured[-1][0] < time_s and self.now_s() < until_s:
+        while self._measured[-1][0] < time_s:
+            if self._error:
+                raise VergenceError(self._error)
             time.sleep(PERIOD_S / 2)
         times, postures = map(np.array, zip(*tuple(self._measured), strict=True))
         if np.abs(times - time_s).min() > GAP_S:
-            if self._error is not None:
-                raise VergenceError(f"The servos have failed: {self._error}")
             return None
         angles = np.array([np.interp(time_s, times, column) for column in postures.T])
         images = {name: image for name, (_, image) in taken.items()}
         return Frame(time_s, time_s, angles[self._neck :], angles[: self._neck], images)
-
-    def _is_new(self, name: str) -> bool:
-        return name in self._images and self._images[name][0] > self._given_s[name]
 
     def command(self, command: HeadCommand) -> None:
         """Follow a command from now on."""
@@ -288,7 +249,4 @@ class UvcServoHead:
     def close(self) -> None:
         """Stop the joints where they are, and release cameras and line."""
         self._stopped.set()
-        for thread in self._threads:
-            thread.join()
-        with suppress(Exception), self._opened:  # the line may have failed
-            self._bus.move(self._bus.read())
+        self._opened.close()
