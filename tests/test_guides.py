@@ -2,10 +2,11 @@
 
 import json
 import sys
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import cv2
@@ -15,10 +16,7 @@ from pydantic import TypeAdapter
 
 import moving_frames
 import vergence
-from documents import (
-    blocks,
-    first,
-)
+from documents import blocks, commands, first
 from drawn_card import smooth_picture
 from drawn_head import DrawnHead, four_cameras, point_at
 from texts import texts
@@ -26,9 +24,7 @@ from vergence import cli
 from vergence.data.dataset import Frame
 from vergence.data.description import Description
 from vergence.data.reader import load_dataset
-from vergence.gaze.commands import hold, usual_limits
 from vergence.geometry.head import save_head
-from vergence.geometry.neck import Neck
 from vergence.geometry.se3 import boxminus
 
 
@@ -100,31 +96,35 @@ def test_the_guide_to_other_joints_describes_and_uses_them(tmp_path, monkeypatch
 
 
 def test_the_guide_to_drivers_moves_a_head(tmp_path, monkeypatch, capsys):
-    """The stand-in for motors and cameras is a drawn head, whose tilt encoders count upwards."""
+    """Motors and cameras are those of a drawn head, whose tilt encoders count upwards."""
     drawn = DrawnHead(lambda _: point_at(10, 5, 0.6))
-    drawn.calibration = replace(four_cameras(), neck=Neck())
-    drawn.commands = [hold(np.zeros(4), usual_limits(drawn.calibration), -1.0)]
     sign = {"left_pan": 1, "left_tilt": -1, "right_pan": 1, "right_tilt": -1}
-    moved: list[dict[str, float]] = []
+    motors = dict.fromkeys(sign, 0.0)
+    closed: list[str] = []
 
-    def grab(names: Sequence[str], timeout_s: float) -> Frame | None:
-        drawn.commands.append(driver["head"].sent)
-        driver["head"].renew_setpoints()
-        return drawn.read(names)
+    def grab(names: Sequence[str], timeout_s: float) -> SimpleNamespace:
+        time.sleep(0.02)
+        angles = [sign[name] * motors[name] for name in sign]
+        drawn.posture = lambda _: np.array([0.0, 0.0, 0.0, *angles])
+        frame = drawn.read(names)
+        assert frame is not None
+        return SimpleNamespace(time_s=time.monotonic(), images=frame.images)
 
-    def angles_rad() -> dict[str, float]:
-        angles = np.zeros(4) if drawn.last is None else drawn.last.eye_angles
-        return {name: sign[name] * angle for name, angle in zip(sign, angles, strict=True)}
-
-    bus = SimpleNamespace(time_s=drawn.now_s, angles_rad=angles_rad, move_to=moved.append)
-    driver: dict[str, Any] = {"bus": bus, "cameras": SimpleNamespace(grab=grab)}
-    save_head(drawn.calibration, tmp_path / "head.json")
+    robot: Any = ModuleType("my_robot")
+    robot.Cameras = lambda: SimpleNamespace(grab=grab, close=lambda: closed.append("cameras"))
+    robot.Motors = lambda: SimpleNamespace(angles_rad=motors.copy, move_to=motors.update)
+    monkeypatch.setitem(sys.modules, "my_robot", robot)
     monkeypatch.chdir(tmp_path)
-    run_blocks("docs/own_driver.md", driver)
-    assert drawn.errors_px(drawn.time_s).max() < 0.5
-    assert "fixation at [" in capsys.readouterr().out
-    assert moved[-1]["left_pan"] > 0.05
-    np.testing.assert_allclose(moved[-1]["left_tilt"], -drawn.posture(drawn.time_s)[1], atol=1e-3)
+    Path("my_head.py").write_text(first("docs/own_driver.md", "python"))
+    wide = {name: c for name, c in drawn.calibration.cameras.items() if name.endswith("wide")}
+    save_head(replace(drawn.calibration, cameras=wide), "head.json")
+    words = next(words for words in commands("docs/own_driver.md") if words[1] == "foveate")
+    monkeypatch.setattr(sys, "argv", [*words[:-1], "2"])
+    cli.main()
+    found = json.loads(capsys.readouterr().out)
+    assert max(found["final_px"].values()) < 0.5
+    assert motors["left_pan"] > 0.05 > 0 > motors["left_tilt"]
+    assert closed == ["cameras"]
 
 
 @pytest.mark.slow
