@@ -48,8 +48,12 @@ def main() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # Reports name damaged images; OpenCV would print lines of its source code, too.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
+    # A viewer that was closed is no error; rerun would print lines of its log.
+    os.environ.setdefault("RUST_LOG", "off")
     with plain_ending("vergence"):
-        print(parsed(sys.argv[1:])().summary())
+        report = parsed(sys.argv[1:])()
+        with report.shown:
+            print(report.summary(), flush=True)
 
 
 def parsed(arguments: list[str]) -> Callable[[], Report]:

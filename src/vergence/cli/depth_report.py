@@ -20,7 +20,8 @@ from vergence.self_calibration.dense_pairs import (
     row_difference_rad,
 )
 from vergence.viewer.depth import depth_blueprint, log_depth
-from vergence.viewer.recording import log_report, recording_file
+from vergence.viewer.live import Viewer, open_feed
+from vergence.viewer.recording import log_report
 
 RESULTS = ("depth.rrd", "depth.json", REPORT)
 """Files in the folder of the results."""
@@ -37,19 +38,22 @@ DOUBT = (
 )
 
 
-def write_depth(out: Path, sequence: DepthSequence, progress: Progress) -> Report:
+def write_depth(
+    out: Path, sequence: DepthSequence, progress: Progress, viewer: Viewer | None = None
+) -> Report:
     """Write depth.rrd, depth.json and report.md of a sequence into a `results_folder`."""
     head, count = sequence.head, sequence.count
     progress("dense depth, pairs", 0, count)
     relative_stds, shares, rows_rad, limits_rad = [], [], [], []
-    with recording_file(out / "depth.rrd", "depth", depth_blueprint(), head) as rec:
+    file = out / "depth.rrd"
+    with open_feed("depth", depth_blueprint(), head, file=file, viewer=viewer) as feed:
         for k, (frame, (pair, dense)) in enumerate(sequence.found):
             near = dense.textured & (dense.depth_m > RANGE_M[0]) & (dense.depth_m < RANGE_M[1])
             relative_stds.append(dense.std_m[near] / dense.depth_m[near])
             shares.append((np.isfinite(dense.depth_m).mean(), dense.textured.mean()))
             rows_rad.append(row_difference_rad(frame, pair))
             limits_rad.append(largest_row_difference_rad(pair))
-            log_depth(rec, index=k, frame=frame, pair=pair, found=dense)
+            feed(log_depth, index=k, frame=frame, pair=pair, found=dense)
             progress("dense depth, pairs", k + 1, count)
         matched, textured = np.mean(shares, axis=0)
         stds, known = np.concatenate(relative_stds), np.isfinite(rows_rad)
@@ -69,7 +73,7 @@ def write_depth(out: Path, sequence: DepthSequence, progress: Progress) -> Repor
                 **sequence.errors(),
             }
         )
-        log_report(rec, report.markdown())
+        feed.always(log_report, report.markdown())
     report.write_json(out / "depth.json")
     write_whole(out / REPORT, report.markdown())
     return report

@@ -14,6 +14,7 @@ from vergence.cli.options import (
     EXPERIMENT,
     IDEAL,
     NO_BAG,
+    NO_VIEWER,
     PAPER,
     BagArguments,
     ExperimentArguments,
@@ -23,10 +24,11 @@ from vergence.cli.options import (
     Optional,
     Positional,
     TwinArguments,
+    ViewerArguments,
     check_outputs,
 )
 from vergence.cli.report import Report
-from vergence.cli.terminal import invocation, progress_bars
+from vergence.cli.terminal import invocation, progress_bars, viewing
 from vergence.errors import VergenceError
 from vergence.files import as_json, results_folder
 
@@ -227,6 +229,7 @@ def depth(
     options: TwinArguments = PAPER,
     pairs: int = 20,
     geometry: Geometry = "joints",
+    viewer: ViewerArguments = NO_VIEWER,
 ) -> Report:
     """Compute the depth of every pixel from rectified pairs, of the twin or of a dataset.
 
@@ -238,6 +241,7 @@ def depth(
         options: Options of the twin.
         pairs: Number of pairs; from a dataset, at most this many.
         geometry: Rectify by the joint readings, or by these as corrected by what both eyes see.
+        viewer: Options of the viewer.
     """
     if twin == (dataset is not None):
         found = "both" if twin else "neither"
@@ -254,7 +258,11 @@ def depth(
 
     check_outputs(folder=out, names=RESULTS, inputs=[calibration])
     head = vg.load_head(calibration) if calibration else None
-    with progress_bars(out) as progress, results_folder(out):
+    with (
+        viewing(viewer) as (opened, shown),
+        progress_bars(out) as progress,
+        results_folder(out),
+    ):
         if dataset is not None and head is not None:
             from vergence.self_calibration.dense_pairs import dataset_depth
 
@@ -270,9 +278,9 @@ def depth(
             )
             source = twin_depth(head, twin_settings, pairs, progress)
         with source as sequence:
-            report = write_depth(out, sequence, progress)
+            report = write_depth(out, sequence, progress, opened)
     files = f"To view the recording: {invocation('rerun', out / 'depth.rrd')}"
-    return replace(report, files=files)
+    return replace(report, files=files, shown=shown)
 
 
 def _experiment(
@@ -290,12 +298,18 @@ def _experiment(
     check_outputs(
         options.json, folder=options.out, names=results, inputs=[options.profile, options.head]
     )
-    settings = Experiment(
-        profile, options.seed, options.scene, options.geometry, options.out, options.head
-    )
-    with progress_bars(options.out) as progress:
+    with viewing(options) as (viewer, shown), progress_bars(options.out) as progress:
+        settings = Experiment(
+            profile,
+            options.seed,
+            options.scene,
+            options.geometry,
+            options.out,
+            options.head,
+            viewer,
+        )
         found = run(settings, progress)
-    report = Report(name, (as_json(found, digits=4).rstrip(),), found)
+    report = Report(name, (as_json(found, digits=4).rstrip(),), found, shown=shown)
     report.write_json(options.json)
     if options.out is not None:
         typed = invocation("rerun", options.out / f"{name}.rrd")

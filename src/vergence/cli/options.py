@@ -39,7 +39,17 @@ class TwinOptions:
 
 
 @dataclass(frozen=True)
-class ExperimentOptions(TwinOptions):
+class ViewerOptions:
+    """Options of commands that can be watched while they run."""
+
+    live: Flag = False
+    """Show the run while it goes on, in a window of rerun."""
+    serve: Optional[int] = None
+    """Port of a page that shows the run while it goes on, in a browser on this computer."""
+
+
+@dataclass(frozen=True)
+class ExperimentOptions(TwinOptions, ViewerOptions):
     """Options that foveate, track and grasp have in common."""
 
     geometry: Geometry = "joints"
@@ -65,8 +75,9 @@ class BagOptions:
 
 
 IDEAL, PAPER = TwinOptions(), TwinOptions(profile="paper")
-EXPERIMENT, NO_BAG = ExperimentOptions(), BagOptions()
+EXPERIMENT, NO_BAG, NO_VIEWER = ExperimentOptions(), BagOptions(), ViewerOptions()
 TwinArguments = Annotated[TwinOptions, tyro.conf.arg(name="")]
+ViewerArguments = Annotated[ViewerOptions, tyro.conf.arg(name="")]
 BagArguments = Annotated[BagOptions, tyro.conf.arg(name="")]
 ExperimentArguments = Annotated[ExperimentOptions, tyro.conf.arg(name="")]
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,8 @@ class Report:
     """What only the file shows."""
     files: str = ""
     """Sentences about written files, which only the terminal shows."""
+    shown: AbstractContextManager[Any] = field(default_factory=nullcontext)
+    """A block in which the summary is printed, such as that of an open viewer."""
 
     def summary(self) -> str:
         """Format the text for the terminal."""

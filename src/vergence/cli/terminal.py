@@ -9,7 +9,7 @@ import signal
 import sys
 import sysconfig
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,7 +17,9 @@ from vergence.errors import VergenceError
 from vergence.files import UNFINISHED, finished_files
 
 if TYPE_CHECKING:
+    from vergence.cli.options import ViewerOptions
     from vergence.progress import Progress
+    from vergence.viewer.live import Viewer
 
 
 @contextmanager
@@ -107,3 +109,23 @@ def progress_bars(folder: Path | None = None) -> Iterator[Progress]:
     finally:
         if tasks:
             bars.stop()
+
+
+@contextmanager
+def viewing(options: ViewerOptions) -> Iterator[tuple[Viewer | None, ExitStack]]:
+    """Open the viewer that options ask for, for a `with` block and for that of its report.
+
+    Yields the viewer, if any, and the block for `Report.shown`: at its end a page that is served
+    waits for Ctrl-C.
+    """
+    shown = ExitStack()
+    if not options.live and options.serve is None:
+        yield None, shown
+        return
+    from vergence.viewer.live import open_viewer, stay
+
+    with ExitStack() as opened:
+        viewer = opened.enter_context(open_viewer(live=options.live, serve=options.serve))
+        yield viewer, shown
+        opened.callback(stay, viewer)
+        shown.enter_context(opened.pop_all())

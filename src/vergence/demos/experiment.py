@@ -31,9 +31,10 @@ from vergence.twin.simulated_robot import (
     foveal_errors,
     learn_by_looking,
 )
-from vergence.viewer.gaze import Observed, log_gaze, log_gaze_styles
+from vergence.viewer.gaze import Observed, log_gaze, log_gaze_styles, log_states
 from vergence.viewer.layouts import gaze_blueprint
-from vergence.viewer.recording import Recording, log_report, recording_file
+from vergence.viewer.live import Feed, Viewer, open_feed
+from vergence.viewer.recording import log_report
 from vergence.viewer.seen import log_seen_styles
 
 if TYPE_CHECKING:
@@ -60,6 +61,8 @@ class Experiment:
     """Folder for the summary as JSON, and for a recording; None: nothing is written."""
     head: Path | None = None
     """The head's head.toml; None: the default head."""
+    viewer: Viewer | None = None
+    """What shows it while it goes on."""
 
     def __post_init__(self) -> None:
         check_seed(self.seed)
@@ -123,50 +126,60 @@ def recorded(
     reach_m: float,
     speed: float = 1.0,
     hand: bool = False,
+    runs: int | None = None,
 ) -> Iterator[tuple[Watch, Finish]]:
-    """Record runs in a `with` block to `name`.rrd in the experiment's folder, if it has one.
+    """Record runs in a `with` block to `name`.rrd in the experiment's folder, and in its viewer.
 
-    Runs, each with its time from zero, follow each other on one timeline. Images are recorded of
-    the frames that have those of all cameras. The 3-D view reaches as far as stated [m]; `speed` is
-    that of the playback. Yields the function to call for each frame, and the one that writes a
-    summary to `name`.json and into the recording. VergenceError if a file cannot be written.
+    Either may be missing. Runs, each with its time from zero, follow each other on one timeline;
+    the file has the first `runs` of them (None: all). Images are recorded of the frames that have
+    those of all cameras. The 3-D view reaches as far as stated [m]; `speed` is that of the
+    playback. Yields the function to call for each frame, and the one that writes a summary to
+    `name`.json and into the recording. VergenceError if a file cannot be written.
     """
     title = f"{name}, profile {experiment.profile.name}, seed {experiment.seed}"
-    if experiment.out is None:
+    out, viewer = experiment.out, experiment.viewer
+    if out is None and viewer is None:
         yield lambda *_: None, lambda _: None
         return
     head, seen = settings.calibration, settings.geometry == "seen"
     layout = gaze_blueprint(title, head, reach_m=reach_m, speed=speed, hand=hand, seen=seen)
-    file, json = (experiment.out / f"{name}.{ending}" for ending in ("rrd", "json"))
-    with recording_file(file, title, layout, head, visual_geoms(twin.model)) as rec:
+    file = None if out is None else out / f"{name}.rrd"
+    geoms = visual_geoms(twin.model)
+    with open_feed(title, layout, head, geoms, file=file, viewer=viewer) as feed:
 
         def finish(summary: DataclassInstance) -> None:
-            write_json(summary, json)
-            log_report(rec, f"# {title}\n\n```\n{as_json(summary, digits=4)}```\n")
+            if out is not None:
+                write_json(summary, out / f"{name}.json")
+            feed.always(log_report, f"# {title}\n\n```\n{as_json(summary, digits=4)}```\n")
 
-        yield _watch(rec, twin, settings), finish
+        yield _watch(feed, twin, settings, runs), finish
 
 
-def _watch(rec: Recording, twin: Twin, settings: GazeSettings) -> Watch:
+def _watch(feed: Feed, twin: Twin, settings: GazeSettings, runs: int | None) -> Watch:
     """Make the function that records the frames of all runs on one timeline."""
     head = settings.calibration
-    count, latest_s, began_s = 0, -np.inf, 0.0
+    count, run, latest_s, began_s = 0, 1, -np.inf, 0.0
     lanes_before: dict[str, str] = {}
 
     def watch(
         state: GazeState, frame: Frame | None, lanes: Mapping[str, str], hand: Array | None
     ) -> None:
-        nonlocal count, latest_s, began_s, lanes_before
+        nonlocal feed, count, run, latest_s, began_s, lanes_before
         if frame is None:
             return
         if frame.time_s < latest_s:  # the next run
-            began_s += latest_s + FRAME_S
+            began_s, run = began_s + latest_s + FRAME_S, run + 1
         latest_s = frame.time_s
+        if runs is not None and run > runs:
+            feed = replace(feed, file=None)
+        if feed.file is None and feed.waiting is None:
+            return
         T_body_lbase = base_pose_in_body(head, "left", frame.neck_angles)
         if not count:
-            log_gaze_styles(rec, settings, twin.T_world_lbase() @ inverse(T_body_lbase))
+            T_world_body = twin.T_world_lbase() @ inverse(T_body_lbase)
+            feed.always(log_gaze_styles, settings, T_world_body)
             if state.geometry is not None:
-                log_seen_styles(rec, head, state.geometry.state)
+                feed.always(log_seen_styles, head, state.geometry.state)
         poses = twin.body_poses()
         where, errors_px = twin.true_object(), foveal_errors(twin, settings)
         if poses["object"][2, 3] < 0:  # hidden, below the floor
@@ -186,9 +199,10 @@ def _watch(rec: Recording, twin: Twin, settings: GazeSettings) -> Watch:
             position=transform(T_body_lbase, where),
             errors_px=dict(zip(settings.eyes, errors_px, strict=True)),
             hand=hand,
-            lanes=changed,
         )
-        log_gaze(rec, settings, state, frame, observed)
+        if changed:
+            feed.always(log_states, observed.time_s, count, changed)
+        feed(log_gaze, settings, state, frame, observed)
         count, lanes_before = count + 1, lanes
 
     return watch

@@ -23,7 +23,7 @@ from vergence.geometry.kinematics import Side
 from vergence.geometry.se3 import inverse, transform
 from vergence.viewer import style
 from vergence.viewer.layouts import camera_entities
-from vergence.viewer.recording import log_frame
+from vergence.viewer.recording import log_frame, set_time
 from vergence.viewer.seen import log_learned, log_matches
 from vergence.viewer.shapes import log_points_style, placed
 
@@ -46,8 +46,6 @@ class Observed:
     """By eye in use, true distance of the object from the centre of the narrow image [px]."""
     hand: Array | None
     """(3,) position of the hand by its encoders; None: there is no hand."""
-    lanes: Mapping[str, str]
-    """States of parts of the experiment that have changed, by lane."""
 
 
 def log_gaze(
@@ -80,8 +78,6 @@ def log_gaze(
     for joint, angle, command in zip(settings.joints, readings, commanded, strict=True):
         rec.log(_joint(settings, joint), rr.Scalars(angle))
         rec.log(_joint(settings, joint, "command_"), rr.Scalars(command))
-    for lane, name in observed.lanes.items():
-        rec.log(f"doing/{lane}", rr.StateChange(state=name))
     if geometry is not None and geometry.updated_s == frame.time_s:
         log_learned(rec, head, geometry.state)
     if not pictures:
@@ -96,6 +92,15 @@ def log_gaze(
             f"{camera_entities(head)[name]}/aim",
             rr.LineStrips2D(strips, colors=style.AIM, radii=0.6),
         )
+
+
+def log_states(
+    rec: rr.RecordingStream, time_s: float, index: int, lanes: Mapping[str, str]
+) -> None:
+    """Record the states of parts of the experiment that have changed, by lane."""
+    set_time(rec, time_s, index)
+    for lane, name in lanes.items():
+        rec.log(f"doing/{lane}", rr.StateChange(state=name))
 
 
 def _log_positions(

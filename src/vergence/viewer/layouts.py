@@ -123,6 +123,16 @@ def playing(
     return rrb.Blueprint(views, panel, auto_views=False, collapse_panels=True)
 
 
+def following(layout: rrb.Blueprint) -> rrb.Blueprint:
+    """Show the latest moment of a run that goes on, by the layout of its recording."""
+    panel = rrb.TimePanel(
+        timeline=getattr(layout.time_panel, "timeline", None),
+        state="collapsed",
+        play_state="following",
+    )
+    return rrb.Blueprint(layout.root_container, panel, auto_views=False, collapse_panels=True)
+
+
 def dataset_blueprint(head: HeadCalibration) -> rrb.Blueprint:
     """Lay out a calibrated dataset."""
     marks = f"dots: corners, lines: residuals x {style.MAGNIFICATION}"

@@ -38,8 +38,8 @@ Recording = rr.RecordingStream
 def recording_file(
     path: Path,
     title: str,
-    layout: rrb.Blueprint,
-    head: HeadCalibration,
+    layout: rrb.Blueprint | None,
+    head: HeadCalibration | None,
     geoms: Sequence[VisualGeom] = (),
 ) -> Iterator[rr.RecordingStream]:
     """Record in a `with` block; the file appears when the block ends without an error.
@@ -62,10 +62,18 @@ def recording_file(
         rec.save(sink, default_blueprint=layout)
         rec.set_log_time_enabled(False)  # recordings of one seed stay comparable
         rec.send_recording_name(f"{title} ({folder.name})")
-        rec.log("world", rr.ViewCoordinates.FLU, static=True)
-        log_geoms(rec, geoms)
-        log_cameras(rec, head)
+        log_surroundings(rec, head, geoms)
         yield rec
+
+
+def log_surroundings(
+    rec: rr.RecordingStream, head: HeadCalibration | None, geoms: Sequence[VisualGeom]
+) -> None:
+    """Record the axes of the world, the shapes of a robot and the cameras of a head."""
+    rec.log("world", rr.ViewCoordinates.FLU, static=True)
+    log_geoms(rec, geoms)
+    if head is not None:
+        log_cameras(rec, head)
 
 
 @contextmanager

@@ -1,0 +1,244 @@
+"""Watch a run while it goes on, in rerun's window or in a browser, on this computer only.
+
+A viewer never delays the run: a thread feeds it, and skips moments while it lags.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from queue import SimpleQueue
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
+
+import rerun as rr
+import rerun.blueprint as rrb
+
+from vergence.errors import VergenceError
+from vergence.geometry.head import HeadCalibration
+from vergence.viewer import style
+from vergence.viewer.layouts import following
+from vergence.viewer.recording import log_surroundings, recording_file
+
+if TYPE_CHECKING:  # the twin, and with it mujoco, is not needed to watch a real head
+    from vergence.twin.appearance import VisualGeom
+
+HOST = "127.0.0.1"
+"""The address of this computer that no other one can reach. Rerun's default is every address."""
+BACKLOG = 10
+"""Moments that may wait for the viewer: a third of a second at 30 Hz, 40 MB of four images each."""
+START_S, WINDOW_S, END_S = 20.0, 1.0, 3.0
+"""Limits [s]: for a viewer to start, for its window to fail, to take the last moments of a run.
+Measured: 0.1 s, 0.1 s, 0.01 s."""
+_GUARDED = """
+import os, signal, sys, threading
+from rerun_cli.__main__ import main
+end = lambda: sys.stdin.read() or os.killpg(0, signal.SIGKILL)
+threading.Thread(target=end, daemon=True).start()
+sys.exit(main())
+"""
+"""Rerun's command line, which ends with its standard input unless something was written there: a
+program that is killed leaves no server behind."""
+
+Log = Callable[..., None]
+"""A function that records something: its first argument is the recording, such as `log_frame`."""
+Waiting = SimpleQueue[tuple[Log, tuple[Any, ...], dict[str, Any]] | None]
+
+
+@dataclass(frozen=True, eq=False)
+class Viewer:
+    """A viewer that was opened."""
+
+    process: subprocess.Popen[bytes]
+    address: str
+    """Where it takes recordings."""
+    page: str | None
+    """Address for a browser; None: the viewer has a window."""
+
+
+@contextmanager
+def open_viewer(*, live: bool = False, serve: int | None = None) -> Iterator[Viewer | None]:
+    """Open a window (`live`) or serve a page on port `serve`, for a `with` block; None: neither.
+
+    The page takes recordings on the next port. It ends with the block, while a window stays open.
+    VergenceError if both are asked for, a port is taken, or no window can be opened.
+    """
+    if not live and serve is None:
+        yield None
+        return
+    if live and serve is not None:
+        raise VergenceError("A window (live) and a page (serve) are asked for; choose one of them.")
+    if serve is not None:
+        serve = _free_port(serve)
+    port = _free_port(0 if serve is None else serve + 1)
+    address, page = f"rerun+http://{HOST}:{port}/proxy", None
+    command = [sys.executable, "-c", _GUARDED, "--bind", HOST, "--port", str(port)]
+    if serve is not None:
+        page = f"http://{HOST}:{serve}/?url={quote(address, safe='')}"
+        command += ["--serve-web", "--web-viewer-port", str(serve)]
+    with tempfile.TemporaryFile() as messages:
+        process = subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=messages,
+            # With CI rerun reports no usage to its makers.
+            env=os.environ | {"CI": "1", "RUST_LOG": "error"},
+            start_new_session=True,  # Ctrl-C is for this program
+        )
+        try:
+            if not _started(process, port, serve):
+                messages.seek(0)
+                reason = messages.read().decode(errors="replace").strip().rpartition(": ")[2]
+                instead = "" if page else "; serve=PORT (--serve PORT) shows the run in a browser"
+                raise VergenceError(f"The viewer did not start: {reason.rstrip('.')}{instead}.")
+            print("The viewer is open." if page is None else f"Watch at {page}", file=sys.stderr)
+            yield Viewer(process, address, page)
+        finally:
+            _end(process, stays=page is None)
+
+
+def _free_port(port: int) -> int:
+    """Check that a port can be served; 0: find one. VergenceError if it cannot."""
+    with socket.socket() as trial:
+        if os.name == "posix":  # as rerun does: a server that has just ended does not matter
+            trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            trial.bind((HOST, port))
+        except (OSError, OverflowError) as error:
+            reason = getattr(error, "strerror", None) or "a port is a number from 1 to 65535"
+            raise VergenceError(
+                f"The viewer cannot use port {port}: {reason}. The page needs the port that is "
+                "asked for and the next one."
+            ) from None
+        return trial.getsockname()[1]
+
+
+def _started(process: subprocess.Popen[bytes], *ports: int | None) -> bool:
+    """Wait until a viewer takes connections; False: it has ended, or does not take any."""
+    until = time.monotonic() + START_S
+    for port in filter(None, ports):
+        while time.monotonic() < until and process.poll() is None:
+            with suppress(OSError), socket.create_connection((HOST, port), timeout=1.0):
+                break
+            time.sleep(0.02)
+    if None in ports:  # a window is opened last, and fails without a display
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(WINDOW_S)
+    return time.monotonic() < until and process.poll() is None
+
+
+def _end(process: subprocess.Popen[bytes], *, stays: bool = False) -> None:
+    """Let a viewer be, or end it with all that it has started."""
+    assert process.stdin is not None
+    with suppress(OSError):  # it has ended by itself
+        if stays and not process.stdin.closed:
+            process.stdin.write(b"stays")
+        process.stdin.close()
+    if not stays:
+        with suppress(OSError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+
+
+def stay(viewer: Viewer | None) -> None:
+    """Serve the page of a run that is over until Ctrl-C, or until its server is ended."""
+    if viewer is not None and viewer.page is not None and viewer.process.poll() is None:
+        print(f"The run is over. Ctrl-C ends the page {viewer.page}", file=sys.stderr)
+        with suppress(KeyboardInterrupt):
+            viewer.process.wait()
+
+
+@dataclass(frozen=True, eq=False)
+class Feed:
+    """A run that is recorded in a file, shown in a viewer, both, or neither.
+
+    Arrays that are passed on must not change later: the viewer's thread may still have to read
+    them.
+    """
+
+    file: rr.RecordingStream | None = None
+    waiting: Waiting | None = None
+    """What the viewer's thread has to do."""
+
+    def __call__(self, log: Log, *args: Any, **kwargs: Any) -> None:
+        """Record a moment by log(recording, ...); a viewer that lags does not get it."""
+        lags = self.waiting is not None and self.waiting.qsize() >= BACKLOG
+        (Feed(self.file) if lags else self).always(log, *args, **kwargs)
+
+    def always(self, log: Log, *args: Any, **kwargs: Any) -> None:
+        """Record by log(recording, ...) what later moments need, such as names of curves."""
+        if self.waiting is not None:
+            self.waiting.put((log, args, kwargs))
+        if self.file is not None:
+            log(self.file, *args, **kwargs)
+
+
+@contextmanager
+def open_feed(
+    title: str,
+    layout: rrb.Blueprint | None = None,
+    head: HeadCalibration | None = None,
+    geoms: Sequence[VisualGeom] = (),
+    *,
+    file: Path | None = None,
+    viewer: Viewer | None = None,
+) -> Iterator[Feed]:
+    """Record a run to a file and to a viewer in a `with` block.
+
+    The file is as of `recording_file`. Without a layout rerun chooses one. The cameras of a head
+    and the visible shapes of a robot are drawn.
+    """
+    with (
+        nullcontext() if file is None else recording_file(file, title, layout, head, geoms) as rec,
+        nullcontext() if viewer is None else _connected(viewer, title, layout) as waiting,
+    ):
+        if waiting is not None:
+            waiting.put((log_surroundings, (head, geoms), {}))
+        yield Feed(rec, waiting)
+
+
+@contextmanager
+def _connected(viewer: Viewer, title: str, layout: rrb.Blueprint | None) -> Iterator[Waiting]:
+    """Start the thread that records to a viewer what is put into a queue."""
+    rr.set_strict_mode(True)  # by default bad data is dropped with a warning
+    waiting: Waiting = SimpleQueue()
+    thread = threading.Thread(target=_show, args=(viewer, title, layout, waiting), daemon=True)
+    thread.start()
+    try:
+        yield waiting
+    finally:
+        waiting.put(None)
+        thread.join(END_S)
+        if thread.is_alive():  # rerun waits for a viewer that is stuck until that ends
+            print("The viewer hangs; it is ended.", file=sys.stderr)
+            _end(viewer.process)
+            thread.join()
+
+
+def _show(viewer: Viewer, title: str, layout: rrb.Blueprint | None, waiting: Waiting) -> None:
+    """Record to a viewer what waits, moment by moment, until None."""
+    rec = rr.RecordingStream(style.APPLICATION)
+    layout = None if layout is None else following(layout)
+    rec.connect_grpc(viewer.address, default_blueprint=layout)
+    rec.set_log_time_enabled(False)
+    rec.send_recording_name(title)
+    while call := waiting.get():
+        log, args, kwargs = call
+        log(rec, *args, **kwargs)
+        try:
+            rec.flush()  # rerun would keep 100 MB for a viewer that lags
+        except RuntimeError:
+            print("The viewer has gone; the run goes on.", file=sys.stderr)
+            return
+    rec.disconnect()
