@@ -196,5 +196,5 @@ def test_a_missing_line_or_package_is_one_sentence(bus, monkeypatch):
     with pytest.raises(VergenceError, match=r"line cannot be opened.*dialout"):
         UvcServoHead()
     monkeypatch.setitem(sys.modules, uvc_servos.PROTOCOL[0], None)
-    with pytest.raises(VergenceError, match=r"pip install 'vergence\[dynamixel\]'"):
+    with pytest.raises(VergenceError, match=r"pip install 'vergence\[(dynamixel|feetech)\]'"):
         UvcServoHead()

@@ -84,11 +84,9 @@ class ServoBus:
         module, protocol, torque, self._goal, position, self._size = PROTOCOL
         try:
             self._sdk = import_module(module)
-        except ImportError:
-            raise VergenceError(
-                f"These servos need the package with {module}: pip install 'vergence[dynamixel]' "
-                "or 'vergence[feetech]'."
-            ) from None
+        except ImportError as error:
+            extra = "dynamixel" if PROTOCOL is DYNAMIXEL else "feetech"
+            raise VergenceError(f"{error}: pip install 'vergence[{extra}]'") from None
         self._ids, self._packets = ids, self._sdk.PacketHandler(protocol)
         self._line = self._sdk.PortHandler(PORT)
         try:
