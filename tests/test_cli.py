@@ -46,7 +46,10 @@ REFUSED = [
     ("reproduce --duration 1 --rate 0.1", "fewer than two"),
     ("reproduce --jobs -2", "all cores, found -2"),
     ("foveate --seed -1", "The seed must be a whole number from 0, found -1."),
-    ("foveate --driver a:B --calibration head.json --seed 1", "Options of the twin are given, and"),
+    (
+        "foveate --driver a:B --calibration head.json --seed 1",
+        "leave out --trials, and the options",
+    ),
     ("foveate --driver a:B", "A driver needs --calibration FILE, and --seconds"),
     ("foveate --driver a:B --calibration head.json --seconds 0", "--seconds from 1 to 3600."),
     ("foveate --driver no_such:B --calibration head.json", "No driver can be loaded from no_such"),

@@ -167,7 +167,9 @@ def foveate(
     if driver is not None:
         of_twin = replace(options, geometry="joints", out=None, json=None) != EXPERIMENT
         if of_twin or trials != 100:
-            raise VergenceError("Options of the twin are given, and a driver; choose one of them.")
+            raise VergenceError(
+                "With --driver leave out --trials, and the options of the twin and of its viewer."
+            )
         return _fixate(driver, calibration, seconds, options)
     if calibration is not None or seconds != 10.0:
         raise VergenceError("The twin calibrates itself, and counts trials; name a --driver.")
