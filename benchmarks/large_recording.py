@@ -109,7 +109,9 @@ def read_and_import(path: Path) -> float:
 
     mapped = RecordingMap(cameras, BOARD, joints)
     found = import_recording(path, mapped, path.parent / "set", progress=progress)
-    print(f"{found.frames} frames, {found.moving} in motion, {found.placements} placements")
+    print(
+        f"{len(found)} frames, {found.moving.sum()} in motion, {len(set(found.placement))} places"
+    )
     print(", ".join(f"{task} {end - begin:.1f} s" for task, (begin, end) in steps.items()))
     return next(end - begin for begin, end in steps.values())
 

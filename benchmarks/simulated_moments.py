@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import interp1d
 
 from board_sessions import Mistakes, Session, mistakes
 from simulated_recording import BOARD, POINTS, inside_image
@@ -16,8 +17,8 @@ from vergence.geometry.kinematics import EYES, eye_pose
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import transform
 from vergence.recordings.board_placements import number_placements
-from vergence.recordings.frame_choice import ChosenFrames, choose_frames
-from vergence.recordings.moments import Moments
+from vergence.recordings.frame_choice import choose_frames
+from vergence.recordings.moments import SAMPLES, WINDOW_NS, Moments
 from vergence.recordings.recording_map import FrameChoice
 from vergence.recordings.scan import LAG_NS
 from vergence.twin.sensors import play
@@ -74,12 +75,17 @@ def observe_moments(
         noise = how.change_px * rng.uniform(0.9, 1.1, len(moved))
         change[name] = np.where(np.arange(len(moved)) > 0, np.hypot(moved, noise), np.nan)
     T = np.stack([eye_pose(head.kinematics, eye, readings) for eye in EYES], axis=1)
+    elements = T[:, :, :3].reshape(len(T), -1) if poses else readings
+    elements = np.hstack([elements, np.zeros((len(time_s), 3))])
+    parts = np.linspace(-WINDOW_NS, WINDOW_NS, SAMPLES) * 1e-9
+    around = interp1d(time_s, elements, axis=0, bounds_error=False)(time_s + parts[:, None])
     return Moments(
         time_ns=np.round(time_s * 1e9).astype(int) + 1_700_000_000_000_000_000,
         images={name: np.arange(len(time_s)) for name in head.cameras},
         change=change,
         eye_angles=np.full_like(readings, np.nan) if poses else readings,
         neck_angles=np.zeros((len(time_s), 3)),
+        around=around,
         T_base_eye=T if poses else None,
     )
 
@@ -119,7 +125,7 @@ class Found:
     """Frames that were chosen of a session, and their placements."""
 
     time_s: Array
-    chosen: ChosenFrames
+    moving: np.ndarray
     number: np.ndarray
     corners: Mapping[str, Array]
     mistakes: Mistakes
@@ -137,14 +143,16 @@ def find_frames(
     """Choose frames of a simulated recording, number its placements, and judge them."""
     moments = observe_moments(head, session, rng, how, poses=poses)
     described = described or description(head, poses=poses)
-    chosen = choose_frames(moments, FrameChoice())
-    time_s = (moments.time_ns[chosen.rows] - moments.time_ns[0]) * 1e-9
+    rows, moving = choose_frames(moments, FrameChoice())
+    time_s = (moments.time_ns[rows] - moments.time_ns[0]) * 1e-9
     corners = find_corners(head, session, time_s, rng, how.corner_px)
-    number = number_placements(described, moments, chosen, corners, FrameChoice())
+    number = number_placements(
+        described, moments, rows, moving, corners=corners, stated=FrameChoice()
+    )
 
     def sees(t: float) -> bool:
         found = find_corners(head, session, np.array([t]), rng, 0.0)
         return any(np.isfinite(each).all() for each in found.values())
 
-    judged = mistakes(session, time_s, moving=chosen.moving, number=number, sees=sees)
-    return Found(time_s, chosen, number, corners, judged)
+    judged = mistakes(session, time_s, moving=moving, number=number, sees=sees)
+    return Found(time_s, moving, number, corners, judged)

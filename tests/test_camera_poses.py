@@ -25,7 +25,7 @@ from vergence.geometry.se3 import boxminus, inverse, transform
 from vergence.recordings.camera_poses import CameraPoses, recording_poses, write_poses
 from vergence.recordings.formats import open_recording
 from vergence.recordings.recording_map import CameraSource, RecordingMap, describe
-from vergence.recordings.scan import ImageTrack, Scan, Track, scan
+from vergence.recordings.scan import Scan, Track, scan
 
 START_NS = 1_700_000_000_123_456_789
 OFFSET_S = 0.045
@@ -50,11 +50,13 @@ def recorded(head: HeadCalibration, seed: int = 0) -> tuple[Scan, Description, R
     readings = np.degrees(sweep((stamp_ns - START_NS) * 1e-9))
     image_ns = START_NS + np.round(np.arange(60) / 30 * 1e9).astype(np.int64)
     size = next(iter(head.cameras.values())).intrinsics.size
-    images = ImageTrack(image_ns, image_ns + 10**7, np.full(60, np.nan), size)
+    images = Track(image_ns, image_ns + 10**7, np.full(60, np.nan))
     scanned = Scan(
         images={f"/{name}/image": images for name in head.cameras},
+        sizes={f"/{name}/image": size for name in head.cameras},
         joints={
-            ("/joints", name): Track(stamp_ns, -readings[:, k]) for k, name in enumerate(EYE_JOINTS)
+            ("/joints", name): Track(stamp_ns, stamp_ns, -readings[:, k])
+            for k, name in enumerate(EYE_JOINTS)
         },
         lenses={},
         poses={},
@@ -64,7 +66,7 @@ def recorded(head: HeadCalibration, seed: int = 0) -> tuple[Scan, Description, R
         board=BOARD,
         joints={name: DatasetJoint(name, "deg", -1) for name in EYE_JOINTS},
     )
-    return scanned, describe(mapped, dict.fromkeys(scanned.images, size), {}), mapped
+    return scanned, describe(mapped, scanned.sizes, {}), mapped
 
 
 def poses_of(head: HeadCalibration) -> list[CameraPoses]:

@@ -55,7 +55,9 @@ def test_a_latency_of_45_ms_is_found_among_readings_at_97_hz_with_gaps(
     stamp_ns, at_ns = (np.round(each * 1e9).astype(np.int64) for each in (stream.time_s, t))
     readings = moving.eye_angles.copy()
     for k, values in enumerate(stream.readings.T):
-        readings[-len(t) :, k] = interpolate(Track(stamp_ns, values), at_ns, max_gap_s=0.1)
+        readings[-len(t) :, k] = interpolate(
+            Track(stamp_ns, stamp_ns, values), at_ns, max_gap_s=0.1
+        )
     assert moving.timing is not None
     timing = replace(moving.timing, stream=stream if with_stream else None)
     seen = replace(moving, eye_angles=readings, timing=timing)

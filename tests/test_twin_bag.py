@@ -81,8 +81,7 @@ def test_each_storage_gives_the_dataset_back(recorded: Dataset, tmp_path: Path, 
         with open_recording(path) as recording:
             write_bag(copy, recording.read(list(recording.channels), None, None), storage=storage)
         path = copy
-    import_recording(path, map_back(recorded), tmp_path / "back")
-    back = load_dataset(tmp_path / "back")
+    back = import_recording(path, map_back(recorded), tmp_path / "back")
     assert_same_dataset(back, recorded)
     if storage == "mcap":
         # As floats, times since 1970 are rounded to 0.2 us, and a motion's velocity by 1e-5.

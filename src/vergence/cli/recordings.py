@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -49,11 +48,11 @@ def import_recording(
     check_outputs(folder=out, inputs=[map])
     mapped = _map_of(source, map)
     with progress_bars() as progress:
-        found = import_mapped(source, mapped, out, progress=progress)
-    text = f"{counted(found.frames, 'frame')}, {found.moving} of them with moving eyes"
-    if found.placements:
-        text += f"; the board stood at {counted(found.placements, 'place')}"
-    parts = (f"{text}.", *(each.sentence for each in found.findings))
+        dataset = import_mapped(source, mapped, out, progress=progress)
+    text = f"{counted(len(dataset), 'frame')}, {dataset.moving.sum()} of them with moving eyes"
+    if mapped.board is not None:
+        text += f"; the board stood at {counted(len(set(dataset.placement)), 'place')}"
+    parts = (f"{text}.", *(finding.sentence for finding in dataset.findings))
     return Report("Recording", parts, None, files=f"Wrote {out}.")
 
 
@@ -80,7 +79,7 @@ def _listed(source: Path, place: Path) -> Report:
     for name, each in channels.items():
         steps_s = sorted((b - a) * 1e-9 for a, b in pairwise(sorted(stamps.get(name, ()))))
         rate = f"{1 / step:.3g}" if steps_s and (step := steps_s[len(steps_s) // 2]) > 0 else ""
-        size = "x".join(map(str, scanned.images[name].size)) if name in scanned.images else ""
+        size = "x".join(map(str, scanned.sizes[name])) if name in scanned.sizes else ""
         gap = f"{steps_s[-1]:.3g}" if steps_s else ""
         rows.append((name, each.type, each.count, rate, gap, scanned.errors.get(name, size)))
     heading = "channel | type | messages | per second | largest gap [s] | size"
@@ -125,9 +124,7 @@ def dataset_of(path: Path, progress: Progress) -> Iterator[Dataset]:
     mapped = _map_of(path, None)
     with TemporaryDirectory(prefix="vergence-") as folder:
         place = Path(folder) / path.name
-        found = import_mapped(path, mapped, place, progress=progress)
-        data = vg.load_dataset(place)
-        yield replace(data, findings=(*data.findings, *found.findings))
+        yield import_mapped(path, mapped, place, progress=progress)
 
 
 def export_poses(

@@ -9,7 +9,7 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.data.description import Description
 from vergence.recordings.board_motion import GATE, board_views, squared_distances
-from vergence.recordings.frame_choice import ChosenFrames, joint_motion, seconds
+from vergence.recordings.frame_choice import joint_motion, seconds
 from vergence.recordings.moments import Moments
 from vergence.recordings.recording_map import FrameChoice
 from vergence.vision.board_pose import LEAST_CORNERS, seen_corners
@@ -29,7 +29,9 @@ LEAVE_OUT = -1
 def number_placements(
     description: Description,
     moments: Moments,
-    chosen: ChosenFrames,
+    rows: np.ndarray,
+    moving: np.ndarray,
+    *,
     corners: Mapping[str, Array],
     stated: FrameChoice,
 ) -> np.ndarray:
@@ -40,17 +42,19 @@ def number_placements(
     where not seen. Placements that are `stated` are taken from there.
     """
     seen = [seen_corners(each).sum(axis=1) >= LEAST_CORNERS for each in corners.values()]
-    rest = np.flatnonzero(np.any(seen, axis=0) & ~chosen.moving)
-    number = np.full(len(chosen.rows), LEAVE_OUT)
+    rest = np.flatnonzero(np.any(seen, axis=0) & ~moving)
+    number = np.full(len(rows), LEAVE_OUT)
     if stated.placements is not None:
-        time_s = seconds(moments)[chosen.rows]
+        time_s = seconds(moments)[rows]
         number[rest] = len(stated.placements) + np.arange(len(rest))
         for k, (begin, end) in enumerate(stated.placements):
             number[(time_s >= begin) & (time_s <= end)] = k
         return number
-    number[rest], alike = _placements(description, moments, chosen, corners, rest)
+    number[rest], alike = _placements(
+        description, moments, rows[rest], {name: each[rest] for name, each in corners.items()}
+    )
     after = np.searchsorted(rest, np.arange(len(number)))
-    between = chosen.moving & (after > 0) & (after < len(rest))
+    between = moving & (after > 0) & (after < len(rest))
     before, after = number[rest[after[between] - 1]], number[rest[after[between]]]
     number[between] = np.where(before == after, before, LEAVE_OUT)
     number[rest[alike]] = LEAVE_OUT
@@ -60,26 +64,24 @@ def number_placements(
 def _placements(
     description: Description,
     moments: Moments,
-    chosen: ChosenFrames,
+    rows: np.ndarray,
     corners: Mapping[str, Array],
-    rest: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Number the placements (m,) of frames at rest (m,), and find which look like another.
 
     Each is compared with those before, by each camera that sees the board in both. Where the eye
     rested in between, its corners show whether the board moved.
     """
-    m, rows = len(rest), chosen.rows[rest]
+    m = len(rows)
     k, back = (each.ravel() for each in np.indices((m, REACH)))
     k, i = k[k > back], (k - back - 1)[k > back]
     vote, alike = np.zeros(len(k), int), np.ones(len(k), bool)
     neck = moments.neck_angles[rows]
     broken = np.abs(np.diff(neck, axis=0)).max(axis=1, initial=0.0) > NECK_RAD
-    motion = joint_motion(moments, np.zeros(len(moments), bool))
-    disturbed = np.cumsum(~(motion <= 1).all(axis=1))[rows]
+    disturbed = np.cumsum(~(joint_motion(moments) <= 1).all(axis=1))[rows]
     readings = moments.eye_angles if moments.T_base_eye is None else moments.T_base_eye
     for name, found in corners.items():
-        views = board_views(description, name, found[rest], readings[rows])
+        views = board_views(description, name, found, readings[rows])
         if views is None:
             continue
         at = np.full(m, -1)

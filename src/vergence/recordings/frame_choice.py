@@ -7,19 +7,19 @@ quietest part.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from scipy.stats import studentized_range
 
 from vergence.arrays import Array
 from vergence.data.dataset import LEAST_MOVING, MAX_GAP_S
 from vergence.recordings.moments import WINDOW_NS, Moments
 from vergence.recordings.recording_map import FrameChoice, Span
 
-QUIETEST, RARELY = 0.1, 1e-3
+QUIETEST, LOUDER = 0.1, 4.0
 """Share of all moments at which a recording is assumed to rest at least, whose quantile gives its
-noise; and share of those at rest at which noise of readings may pass for motion."""
+noise; and factor that the range of six normal readings exceeds once in a thousand times (that of
+nine: 3.3, of four: 6)."""
 BRIGHTER = 2.0
 """Factor up to which the noise of images differs between dark parts of a scene and bright ones."""
 UNSEEN_RAD, NOISIEST_RAD = 6e-4, 0.042
@@ -37,23 +37,14 @@ FASTEST_RAD_S = 1.0
 """
 
 
-@dataclass(frozen=True, eq=False)
-class ChosenFrames:
-    """F frames of a recording, in order of time."""
-
-    rows: np.ndarray
-    """(F,) of int: which moments."""
-    moving: np.ndarray
-    """(F,) of bool: whether the eyes moved."""
-
-
-def choose_frames(moments: Moments, stated: FrameChoice) -> ChosenFrames:
+def choose_frames(moments: Moments, stated: FrameChoice) -> tuple[np.ndarray, np.ndarray]:
     """Choose one frame of each stretch at rest, and stretches in which the eyes move.
 
-    What `stated` has is taken from there. Moments without all readings are left out.
+    Returns which moments (F,), in order of time, and whether the eyes moved (F,). What `stated` has
+    is taken from there. Moments without all readings are left out.
     """
     known, alone = moments.known, _alone(moments)
-    joints, images = joint_motion(moments, alone), image_motion(moments)
+    joints, images = joint_motion(moments), image_motion(moments)
     if stated.rest is not None:
         at_rest = _spans(moments, stated.rest)
     else:
@@ -72,7 +63,7 @@ def choose_frames(moments: Moments, stated: FrameChoice) -> ChosenFrames:
         moving = np.concatenate([np.zeros(0, int), *_spans(moments, stated.moving)])
         moving = np.unique(moving[known[moving]])
     rows = np.union1d(np.array(rest, int), moving)
-    return ChosenFrames(rows, np.isin(rows, moving))
+    return rows, np.isin(rows, moving)
 
 
 def join_at_rest(moments: Moments) -> Moments:
@@ -84,8 +75,7 @@ def join_at_rest(moments: Moments) -> Moments:
     change = {name: each.copy() for name, each in moments.change.items()}
     periods = [np.diff(time_ns[rows >= 0]) for rows in images.values()]
     reach_ns = 0.5 * JITTER * min(float(np.median(each)) if len(each) else 0.0 for each in periods)
-    motion = joint_motion(moments, np.zeros(len(moments), bool))
-    still = np.asarray((motion <= 1).all(axis=1))
+    still = (joint_motion(moments) <= 1).all(axis=1)
     kept, first = np.ones(len(moments), bool), 0
     for k in range(1, len(moments)):
         near = time_ns[k] - time_ns[first] <= reach_ns and still[first : k + 1].all()
@@ -146,28 +136,19 @@ def _motions(moments: Moments, moves: np.ndarray) -> np.ndarray:
     )
 
 
-def joint_motion(moments: Moments, alone: np.ndarray) -> Array:
+def joint_motion(moments: Moments) -> Array:
     """Compute the range of each reading around each moment (N, s), relative to that of noise.
 
-    Eyes come first, then the neck's joints. NaN near moments without a reading. Moments that are
-    `alone` (N,) are not compared with those before and after.
+    Eyes come first, then the neck's joints. NaN near moments without a reading.
     """
-    read = moments.elements
-    least, most, count = _extremes(
-        moments.time_ns, read, moments.time_ns - WINDOW_NS, moments.time_ns + WINDOW_NS
-    )
-    least, most = (np.where(alone[:, None], read, each) for each in (least, most))
-    for part in () if moments.around is None else moments.around:
-        least, most = np.fmin(least, part), np.fmax(most, part)
-    ranges, s = most - least, read.shape[1] - moments.neck_angles.shape[1]
+    ranges = np.fmax.reduce(moments.around) - np.fmin.reduce(moments.around)
+    s = ranges.shape[1] - moments.neck_angles.shape[1]
     if moments.T_base_eye is not None:  # the noise of a turn may lie along any axis
         of_poses = ranges[:, :s].reshape(-1, 2, 3, 4)
         turns = np.linalg.norm(of_poses[..., :3], axis=(2, 3)) / np.sqrt(2)
         shifts = np.linalg.norm(of_poses[..., 3], axis=2)
         ranges = np.concatenate([turns, shifts, ranges[:, s:]], axis=1)
-    usual, largest = studentized_range.ppf([QUIETEST, 1 - RARELY], max(count, 2), np.inf)
-    quiet = np.nanquantile(ranges, QUIETEST, axis=0)
-    noise = np.minimum(quiet * largest / usual, NOISIEST_RAD)
+    noise = np.minimum(LOUDER * np.nanquantile(ranges, QUIETEST, axis=0), NOISIEST_RAD)
     return ranges / np.hypot(noise, UNSEEN_RAD)
 
 
@@ -178,8 +159,9 @@ def image_motion(moments: Moments) -> Array:
     if not stream.any():
         return np.zeros_like(change)
     # A change is that of the time before its image: those of the window end after its middle.
-    begin_ns = moments.time_ns
-    motion = _extremes(begin_ns, change, begin_ns, begin_ns + WINDOW_NS)[1]
+    after = np.searchsorted(moments.time_ns, moments.time_ns + WINDOW_NS) + 1
+    ends = np.stack([np.arange(len(after)), np.minimum(after, len(after))], axis=1).ravel()
+    motion = np.maximum.reduceat(np.concatenate([change, change[-1:]]), ends, axis=0)[::2]
     return motion / np.hypot(BRIGHTER * np.quantile(motion[stream], QUIETEST, axis=0), STILL_PX)
 
 
@@ -187,18 +169,3 @@ def _alone(moments: Moments) -> np.ndarray:
     """Find the moments (N,) that are farther than WINDOW_NS from those before and after."""
     far = np.diff(moments.time_ns) > WINDOW_NS
     return np.concatenate([[True], far]) & np.concatenate([far, [True]])
-
-
-def _extremes(
-    times_ns: np.ndarray, values: Array, begin_ns: np.ndarray, end_ns: np.ndarray
-) -> tuple[Array, Array, int]:
-    """Compute the least and largest values (N, s) from the last before to the first after spans.
-
-    Returns also how many values a span has usually.
-    """
-    first = np.maximum(np.searchsorted(times_ns, begin_ns, side="right") - 1, 0)
-    last = np.minimum(np.searchsorted(times_ns, end_ns), len(times_ns) - 1)
-    ends = np.stack([first, last + 1], axis=1).ravel()
-    padded = np.concatenate([values, values[-1:]])
-    least, most = (each.reduceat(padded, ends, axis=0)[::2] for each in (np.minimum, np.maximum))
-    return least, most, int(np.median(last + 1 - first))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -14,21 +14,20 @@ import pyarrow
 from pyarrow import csv
 
 from vergence.arrays import Array
-from vergence.data.dataset import LEAST_MOVING, MAX_GAP_S, Frame
+from vergence.data.dataset import LEAST_MOVING, MAX_GAP_S, Dataset, Frame
 from vergence.data.description import STREAM, TIME, Description
 from vergence.data.images import to_8_bits
+from vergence.data.reader import load_dataset
 from vergence.data.writer import DatasetRow, write_dataset
 from vergence.errors import VergenceError, counted
 from vergence.files import check_new
-from vergence.findings import Finding
 from vergence.geometry.board import Board, described
 from vergence.progress import Progress, silent
 from vergence.recordings.board_placements import number_placements
 from vergence.recordings.formats import open_recording
-from vergence.recordings.frame_choice import ChosenFrames, choose_frames, join_at_rest
+from vergence.recordings.frame_choice import choose_frames, join_at_rest
 from vergence.recordings.moments import (
-    check_readings,
-    check_stamps,
+    check_moments,
     find_moments,
     read_images,
     scan_mapped,
@@ -45,51 +44,41 @@ APART_NS = 1000
 _ImagesOf = Callable[[np.ndarray], Iterator[dict[str, np.ndarray]]]
 
 
-@dataclass(frozen=True, eq=False)
-class ImportedRecording:
-    """What was taken of a recording."""
-
-    frames: int
-    """At rest and in motion."""
-    moving: int
-    placements: int
-    """Places of the board in the head; 0 without a board."""
-    findings: tuple[Finding, ...] = ()
-
-
 def import_recording(
     path: Path | str, mapped: RecordingMap, out: Path | str, *, progress: Progress = silent
-) -> ImportedRecording:
+) -> Dataset:
     """Write the frames of a recording that show the board into a new dataset.
 
-    Without a board in the map all frames are written. VergenceError if the recording is damaged,
-    does not have what the map names, or shows no board.
+    Without a board in the map all frames are written. The findings of the dataset that is returned
+    name what is odd in the recording. VergenceError if that is damaged, does not have what the map
+    names, or shows no board.
     """
     check_new(Path(out))
     with open_recording(path, stamps=mapped.stamps) as recording:
         scanned, description = scan_mapped(recording, mapped, progress=progress)
-        findings = check_stamps(scanned, mapped, description)
         moments = find_moments(scanned, mapped, description)
-        findings += check_readings(moments, mapped, description)
+        findings = check_moments(moments, scanned, mapped, description)
         moments = join_at_rest(moments)
         images_of = partial(read_images, recording, scanned, mapped, moments)
-        board = description.board
-        if board is None and mapped.frames.moving is None:  # all of them
-            known = np.flatnonzero(moments.known)
-            chosen = ChosenFrames(known, np.ones(len(known), bool))
+        board, stated = description.board, mapped.frames
+        if board is None and stated.moving is None:  # all of them
+            rows = np.flatnonzero(moments.known)
+            moving = np.ones(len(rows), bool)
         else:
-            chosen = choose_frames(moments, mapped.frames)
-        number = np.zeros(len(chosen.rows), int)
+            rows, moving = choose_frames(moments, stated)
+        number = np.zeros(len(rows), int)
         if board is not None:
-            corners = _corners(board, mapped.cameras, images_of, chosen.rows, progress)
+            corners = _corners(board, mapped.cameras, images_of, rows, progress)
             if not any(np.isfinite(uv).any() for uv in corners.values()):
                 raise VergenceError(
-                    f"None of {counted(len(chosen.rows), 'frame')} of {path} shows a "
+                    f"None of {counted(len(rows), 'frame')} of {path} shows a "
                     f"{described(board)}, as the map describes it."
                 )
-            number = number_placements(description, moments, chosen, corners, mapped.frames)
+            number = number_placements(
+                description, moments, rows, moving, corners=corners, stated=stated
+            )
         kept = np.flatnonzero(number >= 0)
-        rows, moving, placement = chosen.rows[kept], chosen.moving[kept], number[kept]
+        rows, moving, placement = rows[kept], moving[kept], number[kept]
         few = _too_few(moments.time_ns[rows], moving)
         if board is None:
             moving &= ~few  # they serve as frames at rest
@@ -118,8 +107,8 @@ def import_recording(
                 _write_stream(folder, scanned, description, moments.time_ns[rows[moving]])
 
         write_dataset(out, description, frames(), beside=beside)
-    places = 0 if board is None else len(np.unique(placement))
-    return ImportedRecording(len(rows), int(moving.sum()), places, findings)
+    dataset = load_dataset(out)
+    return replace(dataset, findings=(*dataset.findings, *findings))
 
 
 def _too_few(time_ns: np.ndarray, moving: np.ndarray) -> np.ndarray:

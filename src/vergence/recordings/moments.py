@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 
@@ -24,14 +25,12 @@ turn by 1 rad/s turn by 0.06 degrees meanwhile."""
 WINDOW_NS = 200_000_000
 """Time before and after a moment in which all stands still [ns]: the largest latency of readings,
 so that a reading of an eye at rest is of the same posture as the image."""
+SAMPLES = 9
+"""Number of times within WINDOW_NS at which the posture is taken: one each 50 ms."""
 APART_S = 1.0
 """Difference [s] of the times from stamp to receipt that no latency of a robot explains."""
-LEAST_TURN_RAD = 0.03
-"""Range of a reading that one of the eyes' joints exceeds [rad]: with less, the place of a camera
-in its eye cannot be found."""
-JOINED_NS = 10**9
-"""Images received within this time [ns] are read in one go: to seek takes as long as to read on for
-some tenths of a second."""
+REMEDY = 'set stamps = "received" in the map if the recorder has one clock'
+"""What to do about stamps of two clocks."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,24 +42,21 @@ class Moments:
     images: Mapping[str, np.ndarray]
     """By camera (N,) of int: the index of its image in the track of its channel; -1: none."""
     change: Mapping[str, Array]
-    """By camera (N,) [px], as in ImageTrack; NaN without an image."""
+    """By camera (N,) [px], as the values of its Track; NaN without an image."""
     eye_angles: Array
     """(N, r) [rad] in the order of the description's readings; NaN where not known."""
     neck_angles: Array
     """(N, n) [rad] in the order of the description's neck_joints."""
+    around: Array
+    """(m, N, s) elements of the posture at m times within WINDOW_NS; NaN where not known."""
     T_base_eye: Array | None = None
     """(N, 2, 4, 4) measured poses of the left and the right eye in their bases [m], NaN where not
     known, the identity for an eye without cameras; None where joints are read instead."""
-    around: Array | None = None
-    """(4, N, s) elements of the posture within WINDOW_NS before and after; NaN where unknown. None:
-    only the moments are known."""
 
     @property
     def known(self) -> np.ndarray:
         """Whether the readings, or poses, of each moment (N,) are known."""
-        given = self.eye_angles if self.T_base_eye is None else self.T_base_eye
-        given = np.hstack([given.reshape(len(self), -1), self.neck_angles])
-        return np.asarray(np.isfinite(given).all(axis=1))
+        return np.asarray(np.isfinite(self.elements).all(axis=1))
 
     @property
     def elements(self) -> Array:
@@ -75,8 +71,8 @@ class Moments:
             change={name: each[rows] for name, each in self.change.items()},
             eye_angles=self.eye_angles[rows],
             neck_angles=self.neck_angles[rows],
+            around=self.around[:, rows],
             T_base_eye=None if self.T_base_eye is None else self.T_base_eye[rows],
-            around=None if self.around is None else self.around[:, rows],
         )
 
     def __len__(self) -> int:
@@ -104,12 +100,10 @@ def scan_mapped(
     channels = [name for name, _ in needed]
     kinds = ("joints", "poses") if mapped.poses else ("joints",)
     channels += [name for name, each in recording.channels.items() if each.kind in kinds]
-    columns = {joint.column for joint in mapped.joints.values()} | set(mapped.readings)
     frames = needed_frames(recording, mapped.poses) if mapped.poses else ()
-    scanned = scan(recording, channels, columns=columns, frames=frames, progress=progress)
-    sizes = {name: track.size for name, track in scanned.images.items()}
+    scanned = scan(recording, channels, frames=frames, progress=progress)
     try:
-        return scanned, describe(mapped, sizes, scanned.lenses)
+        return scanned, describe(mapped, scanned.sizes, scanned.lenses)
     except ValueError as error:
         raise VergenceError(f"The map describes no head: {explain(error)}.") from None
 
@@ -131,13 +125,13 @@ def find_moments(scanned: Scan, mapped: RecordingMap, description: Description) 
     eye_angles, neck_angles, T_base_eye = postures(scanned, mapped, description, time_ns)
     around = np.stack([
         _elements(*postures(scanned, mapped, description, time_ns + round(part * WINDOW_NS)))
-        for part in (-1.0, -0.5, 0.5, 1.0)
+        for part in np.linspace(-1, 1, SAMPLES)
     ])  # fmt: skip
     change = {
-        name: np.where(rows >= 0, tracks[name].change[rows], np.nan)
+        name: np.where(rows >= 0, tracks[name].values[rows], np.nan)
         for name, rows in images.items()
     }
-    return Moments(time_ns, images, change, eye_angles, neck_angles, T_base_eye, around)
+    return Moments(time_ns, images, change, eye_angles, neck_angles, around, T_base_eye)
 
 
 def _elements(eye_angles: Array, neck_angles: Array, T_base_eye: Array | None) -> Array:
@@ -146,14 +140,13 @@ def _elements(eye_angles: Array, neck_angles: Array, T_base_eye: Array | None) -
     return np.hstack([eyes, neck_angles])
 
 
-def check_stamps(
-    scanned: Scan, mapped: RecordingMap, description: Description
+def check_moments(
+    moments: Moments, scanned: Scan, mapped: RecordingMap, description: Description
 ) -> tuple[Finding, ...]:
-    """Note stamps that are repeated or go backward.
+    """Note images without readings, and stamps that go backward or seem to be of two clocks.
 
-    VergenceError if images and joint readings cannot be brought together by their stamps.
+    VergenceError if stamps stand still, or no image has readings.
     """
-    remedy = 'set stamps = "received" in the map if the recorder has one clock'
     images = {each.images: scanned.images[each.images] for each in mapped.cameras.values()}
     sources = description.sources.values()
     joints = {each.column: joint_track(scanned, each.column) for each in sources}
@@ -163,54 +156,27 @@ def check_stamps(
         count = int((steps <= 0).sum())
         odd = f"{count} of {len(steps) + 1} stamps of {name} repeat the one before"
         if 2 * (steps == 0).sum() > len(steps) > 1:
-            raise VergenceError(f"{odd}; {remedy}.")
+            raise VergenceError(f"{odd}; {REMEDY}.")
         if count:
             late_s = -steps.min() * 1e-9
             sentence = f"{odd}, or are up to {late_s:.3g} s earlier; they were put in order."
             findings.append(warning("stamps-out-of-order", sentence, name))
-    for pair in itertools.product(images.items(), joints.items()):
-        (first, early), (last, late) = sorted(pair, key=lambda each: each[1].stamp_ns.max())
-        end_s, begin_s = early.stamp_ns.max() * 1e-9, late.stamp_ns.min() * 1e-9
-        if end_s < begin_s:
-            raise VergenceError(
-                f"The stamps are of two clocks: those of {first} end at {end_s:.3f} s, before "
-                f"those of {last} begin at {begin_s:.3f} s; {remedy}."
-            )
-        if abs(early.late_s - late.late_s) > APART_S:
+    for (first, shown), (last, read) in itertools.product(images.items(), joints.items()):
+        if abs(shown.late_s - read.late_s) > APART_S:
             sentence = (
-                f"The stamps may be of two clocks: those of {first} are {early.late_s:.2f} s "
-                f"before their receipt, those of {last} {late.late_s:.2f} s; {remedy}."
+                f"The stamps may be of two clocks: those of {first} are {shown.late_s:.2f} s "
+                f"before their receipt, those of {last} {read.late_s:.2f} s; {REMEDY}."
             )
             findings.append(warning("two-clocks", sentence, last))
+    if not moments.known.all():
+        sentence = (
+            f"{int((~moments.known).sum())} of {len(moments)} images have no joint readings around "
+            f"them within max_gap_s = {mapped.max_gap_s:g} s of the map"
+        )
+        if not moments.known.any():
+            raise VergenceError(f"{sentence}; {REMEDY}.")
+        findings.append(note("no-readings", f"{sentence}; they were left out."))
     return tuple(findings)
-
-
-def check_readings(
-    moments: Moments, mapped: RecordingMap, description: Description
-) -> tuple[Finding, ...]:
-    """Note images without readings; VergenceError if all are, or a unit cannot be right."""
-    sentence = (
-        f"{int((~moments.known).sum())} of {len(moments)} images have no joint readings around "
-        f"them within max_gap_s = {mapped.max_gap_s:g} s of the map"
-    )
-    if not moments.known.any():
-        raise VergenceError(f"{sentence}.")
-    kinematics = description.head_kinematics
-    if moments.T_base_eye is None and len(kinematics.readings):
-        turns = moments.eye_angles[moments.known] * kinematics.gear_ratios
-        largest, ranges = np.abs(turns).max(axis=0), np.ptp(turns, axis=0)
-        if largest.max() > 2 * np.pi:
-            name = kinematics.readings[int(largest.argmax())]
-            raise VergenceError(
-                f"The readings of {name} turn an eye by {largest.max():.3g} rad, which is more "
-                'than a turn; if they are in degrees, set its unit to "deg" in the map.'
-            )
-        if description.board is not None and ranges.max() < LEAST_TURN_RAD:
-            raise VergenceError(
-                f"By the readings no eye turns by more than {np.degrees(ranges.max()):.2g} degrees "
-                'in the recording; if they are in radians, set their unit to "rad" in the map.'
-            )
-    return () if moments.known.all() else (note("no-readings", f"{sentence}; they were left out."),)
 
 
 def read_images(
@@ -224,29 +190,19 @@ def read_images(
 
     VergenceError if an image is damaged.
     """
-    channels = {name: source.images for name, source in mapped.cameras.items()}
-    wanted: dict[tuple[str, int, int], tuple[int, str]] = {}
-    missing = [0] * len(rows)
-    for camera, channel in channels.items():
-        images, track = moments.images[camera][rows], scanned.images[channel]
-        for k in np.flatnonzero(images >= 0).tolist():
-            stamp_ns, received_ns = track.stamp_ns[images[k]], track.received_ns[images[k]]
-            wanted[channel, int(received_ns), int(stamp_ns)] = k, camera
-            missing[k] += 1
-    waiting: list[dict[str, np.ndarray]] = [{} for _ in rows]  # until their turn
-    turn = 0
-    received = np.unique([received_ns for _, received_ns, _ in wanted])
-    for span in np.split(received, np.flatnonzero(np.diff(received) > JOINED_NS) + 1):
-        for each in recording.read({*channels.values()}, int(span[0]), int(span[-1]) + 1):
-            # Of repeated messages the first counts.
-            k, camera = wanted.pop((each.channel, each.received_ns, each.stamp_ns), (-1, ""))
-            if k < 0:
-                continue
-            content = each.decode()
-            assert isinstance(content, np.ndarray)
-            waiting[k][camera] = content
-            while turn < len(rows) and len(waiting[turn]) == missing[turn]:
-                yield waiting[turn]
-                waiting[turn], turn = {}, turn + 1
-    if turn < len(rows):
-        raise VergenceError(f"{recording.path} has changed while it was read.")
+    sources = {name: source.images for name, source in mapped.cameras.items()}
+    for row in rows.tolist():
+        wanted = {}  # of repeated messages the first counts
+        for camera, channel in sources.items():
+            if (k := moments.images[camera][row]) >= 0:
+                track = scanned.images[channel]
+                wanted[channel, int(track.received_ns[k]), int(track.stamp_ns[k])] = camera
+        times = [received_ns for _, received_ns, _ in wanted]
+        images: dict[str, np.ndarray] = {}
+        for message in recording.read({*sources.values()}, min(times), max(times) + 1):
+            key = message.channel, message.received_ns, message.stamp_ns
+            if camera := wanted.pop(key, None):
+                images[camera] = cast(np.ndarray, message.decode())
+        if wanted:
+            raise VergenceError(f"{recording.path} has changed while it was read.")
+        yield images

@@ -30,20 +30,19 @@ TILES = 8, 6
 
 
 @dataclass(frozen=True, eq=False)
-class ImageTrack:
-    """Images of one channel, without their pixels."""
+class Track:
+    """S values of one channel of images, of one joint, or of one frame, in their order."""
 
     stamp_ns: np.ndarray
-    """(N,) of int: when they were taken, in the order of the recording."""
+    """(S,) of int: when they were measured."""
     received_ns: np.ndarray
-    """(N,) of int: when they were recorded, by which `Recording.read` finds them again."""
-    change: Array
-    """(N,) apparent motion [px], of the part that moves most, since an image LAG_NS before or, at a
+    """(S,) of int: when they were recorded, by which `Recording.read` finds them again."""
+    values: Array
+    """Readings (S,) in the unit of the recording, or T_parent_child (S, 4, 4) [m]; of images the
+    apparent motion (S,) [px], of the part that moves most, since an image LAG_NS before or, at a
     lower rate, the one before; NaN for the first. It is the difference of small grey images of the
     same mean and contrast, relative to their slopes: it saturates at about a pixel of the small
     images, and noise adds to it."""
-    size: tuple[int, int]
-    """Width and height [px]."""
 
     @property
     def late_s(self) -> float:
@@ -52,23 +51,13 @@ class ImageTrack:
 
 
 @dataclass(frozen=True, eq=False)
-class Track:
-    """Readings of one joint, or poses of one frame in its parent."""
-
-    stamp_ns: np.ndarray
-    """(S,) of int, in the order of the recording."""
-    values: Array
-    """(S,) in the unit of the recording, or T_parent_child (S, 4, 4) [m]."""
-    late_s: float = 0.0
-    """Median time from the stamps to the receipt [s]."""
-
-
-@dataclass(frozen=True, eq=False)
 class Scan:
     """All of a recording but the pixels of its images."""
 
-    images: Mapping[str, ImageTrack]
+    images: Mapping[str, Track]
     """By channel."""
+    sizes: Mapping[str, tuple[int, int]]
+    """Width and height [px] of images, by channel."""
     joints: Mapping[tuple[str, str], Track]
     """By channel and name of the joint."""
     lenses: Mapping[str, Camera]
@@ -83,14 +72,13 @@ def scan(
     recording: Recording,
     channels: Collection[str] | None = None,
     *,
-    columns: Collection[str] | None = None,
     frames: Collection[tuple[str, str]] | None = None,
     progress: Progress = silent,
 ) -> Scan:
     """Read channels of a recording in one pass; None: all, those in `errors` without content.
 
-    Only joints in `columns`, as `name` or `channel:name`, and poses of `frames`, as parent and
-    child, are kept; None: all. VergenceError if the recording is damaged.
+    Only poses of `frames`, as parent and child, are kept; None: all. VergenceError if the recording
+    is damaged.
     """
     wanted = {
         name: channel
@@ -98,7 +86,7 @@ def scan(
         if channel.kind != "other" and (channels is None or name in channels)
     }
     total = sum(channel.count for channel in wanted.values())
-    images = defaultdict[str, list[tuple[int, int, float]]](list)
+    images = defaultdict[str, _Values](_Values)
     sizes: dict[str, tuple[int, int]] = {}
     before = defaultdict[str, deque[tuple[int, np.ndarray]]](partial(deque, maxlen=MOST_EARLIER))
     joints = defaultdict[tuple[str, str], _Values](_Values)
@@ -108,7 +96,7 @@ def scan(
     progress("reading the recording", 0, total)
     for done, message in enumerate(recording.read(list(wanted), None, None), 1):
         try:
-            content, stamp = message.decode(), message.stamp_ns
+            content = message.decode()
         except VergenceError as error:
             if channels is not None:
                 raise
@@ -116,8 +104,7 @@ def scan(
             continue
         if isinstance(content, JointSample):
             for name, value in zip(content.names, content.values.tolist(), strict=True):
-                if columns is None or name in columns or f"{message.channel}:{name}" in columns:
-                    joints[message.channel, name].append(message, [value])
+                joints[message.channel, name].append(message, [value])
         elif isinstance(content, Camera):
             lenses[message.channel] = content
         elif isinstance(content, np.ndarray):
@@ -130,7 +117,7 @@ def scan(
                 change = scale * _apparent_motion(earlier[0][1], small)
             earlier.append((message.received_ns, small))
             sizes[message.channel] = content.shape[1], content.shape[0]
-            images[message.channel].append((stamp, message.received_ns, change))
+            images[message.channel].append(message, [change])
         else:
             for each in cast(tuple[FramePose, ...], content):
                 if frames is None or (each.parent, each.child) in frames:
@@ -138,10 +125,8 @@ def scan(
         if done % 20 == 0 or done == total:
             progress("reading the recording", done, total)
     return Scan(
-        images={
-            name: ImageTrack(*map(np.array, zip(*rows, strict=True)), size=sizes[name])
-            for name, rows in images.items()
-        },
+        images={name: each.track(-1) for name, each in images.items()},
+        sizes=sizes,
         joints={name: each.track(-1) for name, each in joints.items()},
         lenses=lenses,
         poses={name: each.track(-1, 4, 4) for name, each in poses.items()},
@@ -153,16 +138,16 @@ class _Values:
     """Values of a track as they are read, without a Python object for each."""
 
     def __init__(self) -> None:
-        self.stamp_ns, self.late_ns, self.values = array("q"), array("q"), array("d")
+        self.stamp_ns, self.received_ns, self.values = array("q"), array("q"), array("d")
 
     def append(self, message: Message, values: Iterable[float]) -> None:
         self.stamp_ns.append(message.stamp_ns)
-        self.late_ns.append(message.received_ns - message.stamp_ns)
+        self.received_ns.append(message.received_ns)
         self.values.extend(values)
 
     def track(self, *shape: int) -> Track:
-        late_s = float(np.median(self.late_ns)) * 1e-9
-        return Track(np.array(self.stamp_ns), np.array(self.values).reshape(shape), late_s)
+        times = np.array(self.stamp_ns), np.array(self.received_ns)
+        return Track(*times, np.array(self.values).reshape(shape))
 
 
 def _thumbnail(image: np.ndarray) -> np.ndarray:
