@@ -28,7 +28,7 @@ from vergence.calibration.priors import (
     known_lens_std,
     lens_priors,
 )
-from vergence.calibration.readings import PLAY, Readings, UnknownMotion, readings_of
+from vergence.calibration.readings import PLAY, Readings, readings_of
 from vergence.calibration.residuals import (
     TARGET_SHIFTS,
     TARGET_TURNS,
@@ -204,7 +204,7 @@ def bundle_problem(
     level = reading_levels(detections, start.kinematics, least_blocks)
     readings = readings_of(observations, start.kinematics, postures, level)
     if len(ratios) and backlash:
-        priors.append(UnknownMotion(readings=readings))
+        priors.append(replace(readings, unknown=True, seen=False))
     if sized and isinstance(observations, Observations):
         board = observations.board
         std = BOARD_SCALE if board.square_std_m is None else board.square_std_m / board.square_m

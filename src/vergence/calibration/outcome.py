@@ -70,9 +70,8 @@ class Outcome:
         """Collect what contradicts the estimate."""
         measured, weights = self.problem.measured, self.found.linear.weights
         detections = measured.detections
-        corners, readings = measured.seen & (weights[0] < 1), weights[1] < 1
-        if self.readings.seen is not None:
-            readings = readings & self.readings.seen
+        corners = measured.seen & (weights[0] < 1)
+        readings = self.readings.seen & (weights[1] < 1)
         images = self.problem.contradicting.copy()
         lost = corners.sum(axis=1) > measured.seen.sum(axis=1) / 2
         images[detections.camera[lost], detections.views[lost]] = True

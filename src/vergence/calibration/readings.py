@@ -13,7 +13,7 @@ from vergence.calibration.observations import Observations, PoseObservations
 from vergence.calibration.postures import Index, Postures
 from vergence.data import timing
 from vergence.data.timing import Stencil, Timing
-from vergence.estimation.residual import Levels, Posterior, Residual, Rows
+from vergence.estimation.residual import UNIT, Levels, Posterior, Residual, Rows
 from vergence.estimation.variables import Variables
 from vergence.geometry.kinematics import Kinematics
 from vergence.geometry.se3 import boxplus
@@ -50,7 +50,8 @@ class Readings(Residual):
     """
 
     postures: Postures
-    level: tuple[str, ...]
+    kinds: tuple[str, ...]
+    """(n,) their noise levels."""
     around: Stencil | None = None
     """The neighbours of each posture in time; None: the eyes stood still."""
     read_motion: Array | None = None
@@ -71,27 +72,30 @@ class Readings(Residual):
     """(n,) turn from which the images show its sense."""
     slow: Any = 0.0
     """(n,) rate below which an eye may stand still within the play [1/s]."""
-    seen: Any = None
-    """(B, n) of bool: false for those that UnknownMotion has; None: all count."""
+    unknown: bool = False
+    """Whether these are the readings whose last motion is not known, where backlash exceeds their
+    noise, instead of the others. They count for little: after a small turn back the sign goes with
+    the angle, as a gain does. Without them eyes might turn together with boards that only these
+    views show."""
+    seen: Any = True
+    """(B, n) of bool: which count here."""
     std: Any = np.inf
     """(n,) noise by the last estimate [rad]."""
+    noise_scale: Any = 1.0
+    """(B, n) [rad] of unknown ones, whose level is one."""
     element: Index = field(init=False)
 
     def __post_init__(self) -> None:
-        vars(self).update(element=np.arange(len(self.postures.reading)))
+        shape = self.postures.reading.shape
+        vars(self).update(element=np.arange(shape[0]), seen=np.broadcast_to(self.seen, shape))
+
+    @property
+    def level(self) -> Any:
+        """Return the noise level of each reading (n,)."""
+        return UNIT if self.unknown else self.kinds
 
     def error(self, x: Variables) -> Array:
         """Compute noise-free readings minus readings (B, n), without errors that are shared."""
-        return self.masked(self.every_error(x))
-
-    def masked(self, values: Array) -> Array:
-        """Replace values (B, n, ...) of readings that do not count by zeros."""
-        if self.seen is None:
-            return values
-        return np.where(self.seen.reshape(*self.seen.shape, *[1] * (values.ndim - 2)), values, 0.0)
-
-    def every_error(self, x: Variables) -> Array:
-        """Compute the errors (B, n), whether they count or not."""
         postures = self.postures
         at_reading = x.latent.value.copy()
         if self.coefficients is not None:
@@ -99,15 +103,10 @@ class Readings(Residual):
         if postures.T_base_eye_read is None:
             at_reading += x[BLOCK][postures.joint] * postures.motion / 2
         off = at_reading @ postures.tied.T - postures.reading
-        return off if self.smooth is None else off - self.smooth @ x["pose_errors"]
+        off = off if self.smooth is None else off - self.smooth @ x["pose_errors"]
+        return np.where(self.seen, off, 0.0)
 
     def rows(self, x: Variables) -> Rows:
-        rows = self.every_row(x)
-        assert rows.by_latent is not None
-        return Rows(self.masked(rows.by_shared), rows.columns, self.masked(rows.by_latent))
-
-    def every_row(self, x: Variables) -> Rows:
-        """Compute the derivatives, whether they count or not."""
         postures = self.postures
         by_latent = np.tile(postures.tied, (len(postures.reading), 1, 1))
         columns = np.tile(x.columns("head")[-1:], (len(by_latent), 1))
@@ -145,15 +144,15 @@ class Readings(Residual):
         # Seen from the reading's moment time runs the other way: odd powers keep their sign.
         reading = self.read_motion * -((-1.0) ** np.arange(1, timing.TRAJECTORY_DEGREE + 1))
         # Of two unknowns with one reading both go by the noise of the reading.
-        trusted = np.array([name in self.trusted for name in self.level])
+        trusted = np.array([name in self.trusted for name in self.kinds])
         trusted[self.postures.own == 1] = trusted[self.postures.own == 0]
         chosen = np.where(trusted[:, None] | self.seldom_seen[:, None, None], reading, latent)
         return replace(self, coefficients=chosen)
 
     def trust(self, levels: Levels, determined: Levels) -> Readings:
         """Take the trajectory from readings that are known well."""
-        well = {k for k in set(self.level) if levels[k] < TRUSTED_READINGS * determined[k]}
-        std = np.array([levels[name] for name in self.level])
+        well = {k for k in set(self.kinds) if levels[k] < TRUSTED_READINGS * determined[k]}
+        std = np.array([levels[name] for name in self.kinds])
         return replace(self, trusted=self.trusted | well, std=std)
 
     def judge(self, x: Variables, posterior: Posterior) -> Readings:
@@ -161,9 +160,12 @@ class Readings(Residual):
         if self.postures.T_base_eye_read is not None:
             return self
         postures = replace(self.postures, motion=self._motion(x))
-        unknown = (postures.motion == 0) * np.abs(x[BLOCK][postures.joint])
-        seen = unknown @ np.abs(postures.tied.T) < self.std
-        return replace(self, postures=postures, seen=None if seen.all() else seen)
+        width, turned = np.abs(x[BLOCK][postures.joint]), np.abs(postures.tied.T)
+        known = ((postures.motion == 0) * width) @ turned < self.std
+        if not self.unknown:
+            return replace(self, postures=postures, seen=known)
+        scale = np.hypot(self.std, UNKNOWN * (width @ turned))
+        return replace(self, postures=postures, seen=~known, noise_scale=scale)
 
     def _motion(self, x: Variables) -> Array:
         """Find to which side, and how far, the backlash is taken up (B, n).
@@ -184,63 +186,16 @@ class Readings(Residual):
         return np.where(slow, 0.0, motion)
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class UnknownMotion(Residual):
-    """Readings whose last motion is not known, where backlash exceeds their noise.
-
-    They count for little: after a small turn back the sign goes with the angle, as a gain does.
-    Without them eyes might turn together with boards that only these views show.
-    """
-
-    readings: Readings
-    noise_scale: Array = field(default_factory=lambda: np.ones((1, 1)))
-    """(B, n) [rad]."""
-    element: Index = field(init=False)
-
-    def __post_init__(self) -> None:
-        vars(self).update(element=self.readings.element)
-
-    @property
-    def seen(self) -> np.ndarray:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """(B, n) of bool: those that Readings has not."""
-        own = self.readings
-        return np.zeros_like(own.postures.reading, bool) if own.seen is None else ~own.seen
-
-    def error(self, x: Variables) -> Array:
-        return np.where(self.seen, self.readings.every_error(x), 0.0)
-
-    def rows(self, x: Variables) -> Rows:
-        rows, seen = self.readings.every_row(x), self.seen[..., None]
-        assert rows.by_latent is not None
-        shared, latent = (np.where(seen, each, 0.0) for each in (rows.by_shared, rows.by_latent))
-        return Rows(shared, rows.columns, latent)
-
-    def follow(self, x: Variables) -> UnknownMotion:
-        """Keep what Readings follows."""
-        readings = self.readings.follow(x)
-        return self if readings is self.readings else replace(self, readings=readings)
-
-    def trust(self, levels: Levels, determined: Levels) -> UnknownMotion:
-        """Keep what Readings trusts."""
-        return replace(self, readings=self.readings.trust(levels, determined))
-
-    def judge(self, x: Variables, posterior: Posterior) -> UnknownMotion:
-        """Take the readings that Readings leaves out."""
-        readings = self.readings.judge(x, posterior)
-        width = x[BLOCK][readings.postures.joint] @ np.abs(readings.postures.tied.T)
-        return replace(self, readings=readings, noise_scale=np.hypot(readings.std, UNKNOWN * width))
-
-
 def readings_of(
     observations: Observations | PoseObservations,
     kinematics: Kinematics,
     postures: Postures,
-    level: tuple[str, ...],
+    kinds: tuple[str, ...],
 ) -> Readings:
     """Collect the readings of the postures, with their motion where the eyes moved."""
     when, poses = observations.timing, observations.T_base_eye
     if when is None:
-        return Readings(postures=postures, level=level)
+        return Readings(postures=postures, kinds=kinds)
     run, time_s = when.run[postures.view], when.time_s[postures.view]
     run = np.where(run > 0, 2 * run - postures.eye, 0)  # a motion of one eye, not of both
     around = timing.stencil(time_s, run)
@@ -248,7 +203,7 @@ def readings_of(
     motion, seldom = _read_motion(when, read, postures, around)
     return Readings(
         postures=postures,
-        level=level,
+        kinds=kinds,
         around=around,
         read_motion=motion,
         seldom_seen=seldom,
