@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from scipy.linalg import block_diag, cho_solve
@@ -234,27 +235,20 @@ def bundle_adjust(
         problem = with_shared_errors(problem)
     levels = _levels(problem, noise, given)
     known = TURNS in noise.levels
-    apart = held_boards(problem, least=1) if known else None
-    motion = (noise.levels[TURNS], noise.levels[SHIFTS]) if known else None
-    found = None
-    if apart is None:
-        residuals = (*problem.residuals, *priors)
-        try:
-            found = adjust(residuals, problem.start, levels, outlier=noise.outlier)
-        except VergenceError:
-            for lacking in about_one_axis(problem.measured.detections, problem.start):
-                raise VergenceError(lacking.sentence) from None
-            raise
-        if given is None and not noise.levels:
-            # Without a minimum boards may have moved, and are then part of every minimum.
-            motion = moved_boards(problem, found, levels) if found.converged else FIRST_MOTION
-            apart = None if motion is None else held_boards(problem)
-    if apart is not None and motion is not None:
+    if known and (apart := held_boards(problem, least=1)) is not None:
         problem = apart
-        levels += motion_levels(motion, given=known)
-        residuals = (*problem.residuals, *priors)
-        found = adjust(residuals, problem.start, levels, outlier=noise.outlier)
-    assert found is not None
+        levels += motion_levels([noise.levels[TURNS], noise.levels[SHIFTS]], given=True)
+    solve = partial(adjust, outlier=noise.outlier)
+    try:
+        found = solve((*problem.residuals, *priors), problem.start, levels)
+    except VergenceError:
+        for lacking in about_one_axis(problem.measured.detections, problem.start):
+            raise VergenceError(lacking.sentence) from None
+        raise
+    if given is None and not noise.levels and (apart := moved_boards(problem, found)) is not None:
+        problem = apart
+        levels += motion_levels(FIRST_MOTION, given=False)
+        found = solve((*problem.residuals, *priors), problem.start, levels)
     return _estimate(problem, start, observations, found, levels, intrinsics or {})
 
 

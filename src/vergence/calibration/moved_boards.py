@@ -15,11 +15,9 @@ import numpy as np
 from vergence.arrays import Array
 from vergence.calibration.bundle_start import BundleProblem
 from vergence.calibration.postures import Index
-from vergence.calibration.priors import POSE_SCALE, boards_block
-from vergence.calibration.residuals import Reprojection, TargetPoses
+from vergence.calibration.priors import boards_block
 from vergence.estimation.adjustment import Adjustment
-from vergence.estimation.linear import linearise
-from vergence.estimation.noise import Level, estimate_noise
+from vergence.estimation.noise import Level
 from vergence.estimation.residual import Residual, Rows
 from vergence.estimation.variables import Variables
 from vergence.geometry.kinematics import EYES
@@ -35,9 +33,6 @@ SUSPECT = 1.0
 """Mean square of the errors of readings before held boards, relative to others, from which the
 motion is estimated. One image a board and eye determines differences of readings only, so that half
 of a square is expected; simulated heads without motion seldom had more than 0.78."""
-CERTAIN = 3.0
-"""Standard deviations of the mean square of a motion, from zero, from which boards did move. Those
-of 8 boards are determined to 3.5 at best."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -97,39 +92,18 @@ def motion_levels(stds: Sequence[float], *, given: bool) -> list[Level]:
     ]
 
 
-def moved_boards(
-    problem: BundleProblem, found: Adjustment, levels: Sequence[Level]
-) -> tuple[float, float] | None:
-    """Estimate the motion of held boards, [rad] and [m], about an estimate without motion.
+def moved_boards(problem: BundleProblem, found: Adjustment) -> BundleProblem | None:
+    """Take boards apart that seem to have moved; None: readings err no more before held ones.
 
-    None: it is not significant.
+    Without a minimum, `found` shows nothing: boards may have moved, and may then be part of one.
     """
-    apart = held_boards(replace(problem, start=found.x))
-    if apart is None:
-        return None
+    apart = held_boards(problem)
+    if apart is None or not found.converged:
+        return apart
     motion, of = apart.priors[-1], apart.measured.detections
     assert isinstance(motion, HeldBoards)
     on_held = np.isin(of.board, [*motion.before, *motion.after])
     held = np.isin(np.arange(len(of.postures.view)), of.posture[on_held])
     squares = np.where(found.linear.weights[1] == 1, found.errors[1], 0.0) ** 2
-    if not (squares[held].mean(axis=0) > SUSPECT * squares[~held].mean(axis=0)).any():
-        return None
-    x, own = apart.start, motion_levels(FIRST_MOTION, given=False)
-    measured = found.residuals[0]
-    assert isinstance(measured, (Reprojection, TargetPoses))
-    measured = replace(measured, detections=apart.measured.detections)
-    residuals, H = [measured, *found.residuals[1:], motion], len(motion.before)
-    weights = [*found.linear.weights, np.ones((H, 6))]
-    errors = [*found.errors, np.zeros((H, 6))]
-    added = x.columns("boards")[-6 * H :]
-    old, (G, F) = np.setdiff1d(np.arange(x.size), added), found.observability.basis.shape
-    basis = np.zeros((G + 6 * H, F + 6 * H))
-    basis[old, :F] = found.observability.basis
-    basis[added, F + np.arange(6 * H)] = np.tile(POSE_SCALE, H)
-    linear = linearise(residuals, x, errors, weights).onto(basis)
-    noise = {**found.levels, **{level.name: level.start for level in own}}
-    fixed = np.array([level.given or found.assumed.get(level.name, False) for level in levels])
-    estimated = estimate_noise(linear, [*levels, *own], noise, np.append(fixed, [False, False]))
-    stds = estimated.levels[TURNS], estimated.levels[SHIFTS]
-    certain = estimated.log_variance[-2:] < CERTAIN**-2
-    return stds if (certain & (np.array(stds) > 2 * FLOOR)).any() else None
+    suspect = squares[held].mean(axis=0) > SUSPECT * squares[~held].mean(axis=0)
+    return apart if suspect.any() else None
