@@ -1,4 +1,4 @@
-"""Final error of the gaze by detector, cameras and joints: a sphere, a marker and a template.
+"""Final error of the gaze by detector, cameras and joints: a sphere and a marker.
 
     python benchmarks/detectors.py [--trials 40] [--profile ideal] [--seed 0]
 
@@ -14,7 +14,6 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 
-import cv2
 import numpy as np
 import tyro
 
@@ -29,31 +28,10 @@ from vergence.twin.simulated_robot import calibrate_twin, unoccluded
 from vergence.vision.detector import Detector
 from vergence.vision.marker import marker_detector
 from vergence.vision.sphere import sphere_detector
-from vergence.vision.template import template_detector
 
 DICTIONARY, MARKER = "DICT_4X4_50", 7
 CARD_M = 0.1
-"""Side of the marker, and of the picture: 19 px in a wide image at 1.5 m."""
-PICTURE_PX, DETAIL = 400, 12
-"""Side of the picture, and how many of its details lie side by side: two pixels each at 1.5 m."""
-TEMPLATE_PX = 100
-SCALES = tuple(np.geomspace(0.16, 1.1, 11).tolist())
-"""Sizes of the picture in a wide image, relative to the template: at 1.6 m to 0.27 m."""
-
-
-def picture(seed: int = 0) -> np.ndarray:
-    """Return a smooth random picture (PICTURE_PX, PICTURE_PX, 3) uint8."""
-    noise = np.random.default_rng([seed, 12]).normal(size=(PICTURE_PX, PICTURE_PX))
-    smooth = cv2.GaussianBlur(noise, (0, 0), PICTURE_PX / DETAIL / 2)
-    low, high = np.quantile(smooth, [0.02, 0.98])
-    grey = 25 + 210 * np.clip((smooth - low) / (high - low), 0, 1)
-    return np.repeat(grey.round().astype(np.uint8)[..., None], 3, axis=-1)
-
-
-def picture_detector() -> Detector:
-    """Return the detector of the picture."""
-    small = cv2.resize(picture(), (TEMPLATE_PX, TEMPLATE_PX), interpolation=cv2.INTER_AREA)
-    return template_detector(small, scales=SCALES)
+"""Side of the marker [m]: 19 px in a wide image at 1.5 m."""
 
 
 def wide_alone(settings: GazeSettings) -> GazeSettings:
@@ -71,7 +49,6 @@ KINDS: dict[str, tuple[Card | None, Detector, bool]] = {
         marker_detector(DICTIONARY, MARKER),
         True,
     ),
-    "wide alone, template": (Card(picture(), CARD_M), picture_detector(), True),
 }
 """By name: the card that is shown, None for the sphere; its detector; and whether the head has wide
 cameras only."""

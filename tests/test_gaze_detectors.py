@@ -1,4 +1,4 @@
-"""The gaze on the twin with wide cameras alone, by marker and by template: few of the benchmark's.
+"""The gaze on the twin with wide cameras alone, by marker: few of the benchmark's.
 
 The benchmark is benchmarks/detectors.py.
 """
@@ -8,7 +8,8 @@ import pytest
 
 from cards import Card, marker_card
 from described_heads import described_head
-from detectors import CARD_M, DICTIONARY, KINDS, MARKER, final_errors, picture
+from detectors import CARD_M, DICTIONARY, KINDS, MARKER, final_errors
+from drawn_card import smooth_picture
 from vergence.gaze.state import GazeSettings
 from vergence.geometry.projection import project_point
 from vergence.twin.head import Twin
@@ -50,7 +51,7 @@ def test_eyes_that_tilt_before_they_pan_centre_an_object(tmp_path):
 
 @pytest.mark.render
 def test_a_card_shows_its_picture_upright_at_the_place_of_the_object():
-    card = Card(np.dstack([picture(1)[..., 0], picture(2)[..., 0], picture(3)[..., 0]]), CARD_M)
+    card = Card(np.dstack([smooth_picture(400, seed) for seed in (1, 2, 3)]), CARD_M)
     with Twin(load_profile("ideal"), furnish=card.put) as twin:
         place = np.array([0.3, -0.046, 0.0])
         twin.place_object(place)

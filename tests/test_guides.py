@@ -16,8 +16,8 @@ from pydantic import TypeAdapter
 
 import moving_frames
 import vergence
+from cards import marker_card
 from documents import blocks, commands, first
-from drawn_card import smooth_picture
 from drawn_head import DrawnHead, four_cameras, point_at
 from texts import texts
 from vergence import cli
@@ -60,17 +60,16 @@ def run_blocks(document: str, names: dict[str, Any]) -> dict[str, Any]:
 
 def test_the_guide_to_detectors_runs(tmp_path, monkeypatch, capsys):
     save_head(four_cameras(), tmp_path / "head.json")
-    picture = np.repeat(smooth_picture(60)[..., None], 3, axis=-1)
-    cv2.imwrite(str(tmp_path / "mug.png"), picture)
-    table = np.full((480, 640, 3), 90, np.uint8)
-    table[200:260, 300:360] = picture
+    table = np.full((480, 640, 3), 250, np.uint8)
+    picture = marker_card("DICT_APRILTAG_36H11", 3, 0.1).picture
+    table[200:260, 300:360] = cv2.resize(picture, (60, 60), interpolation=cv2.INTER_AREA)
     cv2.imwrite(str(tmp_path / "table.png"), table)
     monkeypatch.chdir(tmp_path)
     names = run_blocks("docs/own_detector.md", {})
     np.testing.assert_allclose(names["found"].pixel, [329.5, 229.5], atol=0.3)
     assert names["bright_spot"](np.zeros((480, 640, 3), np.uint8), None, None) is None
     printed = capsys.readouterr().out
-    assert "looking at mug with ('left_wide', 'right_wide', 'left_narrow'" in printed
+    assert "looking at ball with ('left_wide', 'right_wide', 'left_narrow'" in printed
     assert "No object is called 'cup'" in printed
     assert "centred in ('left_wide', 'right_wide')" in printed
 

@@ -1,1 +1,1 @@
-"""What is found in images: corners of boards, spheres, markers, templates, features of a scene."""
+"""What is found in images: corners of boards, spheres, markers, features of a scene."""

@@ -1,8 +1,8 @@
 """Detectors of objects: functions that find one object in an image.
 
 Gaze control calls a detector with an image, its camera and the pixel where the object was before.
-`vision.sphere`, `vision.marker` and `vision.template` make such functions; any function with these
-arguments can take their place.
+`vision.sphere` and `vision.marker` make such functions; any function with these arguments can take
+their place.
 """
 
 from __future__ import annotations
