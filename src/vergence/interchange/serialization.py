@@ -13,7 +13,7 @@ import yaml
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
-from vergence.files import read_parsed, unique_keys, write_whole
+from vergence.files import read_parsed, write_whole
 from vergence.geometry.camera import Camera, check_image_fits
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.lens import COEFFICIENTS, CameraModel
@@ -63,13 +63,6 @@ class _TextLoader(yaml.BaseLoader):
         if self.check_event(yaml.AliasEvent):  # a few of them can stand for any amount of data
             raise ValueError("it has an alias, which these formats do not need")
         return super().compose_node(parent, index)
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        pairs = [
-            (self.construct_object(key, deep=True), self.construct_object(value, deep=True))
-            for key, value in node.value
-        ]
-        return unique_keys(pairs)
 
 
 def read(path: Path, what: str, build: Callable[[Any], T]) -> T:
