@@ -17,6 +17,7 @@ import tyro
 
 from vergence.cli.accuracy import budget, design, plan
 from vergence.cli.calibration import calibrate, evaluate, export, import_, self_calibrate
+from vergence.cli.capture import capture
 from vergence.cli.experiments import depth, foveate, grasp, record, reproduce, track
 from vergence.cli.head import head
 from vergence.cli.recordings import export_poses, import_recording
@@ -26,8 +27,8 @@ from vergence.errors import VergenceError
 
 Command = Callable[..., Report]
 _COMMANDS: tuple[Command, ...] = (
-    reproduce, record, calibrate, self_calibrate, plan, design, evaluate, budget, export, import_,
-    import_recording, export_poses, foveate, track, grasp, depth, head,
+    reproduce, record, capture, calibrate, self_calibrate, plan, design, evaluate, budget, export,
+    import_, import_recording, export_poses, foveate, track, grasp, depth, head,
 )  # fmt: skip
 COMMANDS: dict[str, Command] = {
     each.__name__.rstrip("_").replace("_", "-"): each for each in _COMMANDS

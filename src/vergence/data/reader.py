@@ -36,18 +36,7 @@ def load_dataset(folder: str | Path) -> Dataset:
     VergenceError names the file, and the field or line, that is missing or implausible.
     """
     folder = Path(folder)
-    if not os.path.isdir(folder):  # methods of Path raise where a name is too long
-        raise VergenceError(
-            f"There is no dataset folder {folder}: a dataset is a folder with {DESCRIPTION} and "
-            f"{FRAMES}."
-        )
-    description = read_parsed(
-        folder / DESCRIPTION,
-        "a description of a dataset",
-        _description,
-        parse_json,
-        most_bytes=2**20,  # 64 cameras with intrinsics have 50 kB
-    )
+    description = load_description(folder)
     table = read_table(folder / FRAMES, description.columns, description.optional_columns)
     poses, moving = description.eye_motion == "poses", table.whole_numbers(MOVING, 1) == 1
     time_s, joint_time_s = time_stamps(table)
@@ -82,6 +71,22 @@ def load_dataset(folder: str | Path) -> Dataset:
         files=_image_files(folder, description, table),
         stream=stream,
         findings=findings,
+    )
+
+
+def load_description(folder: Path) -> Description:
+    """Read the dataset.json of a folder; VergenceError if it is missing or invalid."""
+    if not os.path.isdir(folder):  # methods of Path raise where a name is too long
+        raise VergenceError(
+            f"There is no dataset folder {folder}: a dataset is a folder with {DESCRIPTION} and "
+            f"{FRAMES}."
+        )
+    return read_parsed(
+        folder / DESCRIPTION,
+        "a description of a dataset",
+        _description,
+        parse_json,
+        most_bytes=2**20,  # 64 cameras with intrinsics have 50 kB
     )
 
 

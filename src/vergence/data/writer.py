@@ -63,15 +63,19 @@ def write_dataset(
     """
     with whole_folder(Path(folder)) as part:
         (part / "images").mkdir()
-        adapter = TypeAdapter(Description)
-        text = adapter.dump_json(description, indent=1, exclude_none=True) + b"\n"
-        (part / DESCRIPTION).write_bytes(text)
+        (part / DESCRIPTION).write_text(as_text(description), encoding="utf-8")
         _write_frames(part, description, rows)
         beside(part)
         try:
             load_dataset(part)
         except VergenceError as error:
             raise VergenceError(str(error).replace(str(part), str(folder))) from None
+
+
+def as_text(description: Description) -> str:
+    """Write a description as dataset.json has it."""
+    adapter = TypeAdapter(Description)
+    return adapter.dump_json(description, indent=1, exclude_none=True).decode() + "\n"
 
 
 def _write_frames(folder: Path, description: Description, rows: Iterable[DatasetRow]) -> None:
@@ -85,9 +89,8 @@ def _write_frames(folder: Path, description: Description, rows: Iterable[Dataset
         table = csv.DictWriter(file, description.columns, restval="", lineterminator="\n")
         table.writeheader()
         for number, row in enumerate(rows):
-            _check_images(description, row.frame)
-            images = {camera: f"images/{number:05d}_{camera}.png" for camera in row.frame.images}
-            table.writerow(_cells(description, row) | images)
+            cells, images = row_cells(description, number, row)
+            table.writerow(cells)
             for camera, image in row.frame.images.items():
                 # A copy, since a driver may write its next image into the same array.
                 copied = np.array(image)
@@ -98,6 +101,18 @@ def _write_frames(folder: Path, description: Description, rows: Iterable[Dataset
             each.result()
     if number < 0:
         raise VergenceError("A dataset has one row or more; found none.")
+
+
+def row_cells(
+    description: Description, number: int, row: DatasetRow
+) -> tuple[dict[str, object], dict[str, str]]:
+    """Make the cells of a row by column, and the names of its images by camera.
+
+    VergenceError if it does not fit the description.
+    """
+    _check_images(description, row.frame)
+    images = {camera: f"images/{number:05d}_{camera}.png" for camera in row.frame.images}
+    return _cells(description, row) | images, images
 
 
 def _cells(description: Description, row: DatasetRow) -> dict[str, object]:
@@ -154,8 +169,13 @@ def _check_images(description: Description, frame: Frame) -> None:
 
 
 def _write_image(path: Path, image: np.ndarray) -> None:
+    path.write_bytes(encode_image(image))
+
+
+def encode_image(image: np.ndarray) -> bytes:
+    """Encode an image (H, W) or (H, W, 3) as a grey PNG file."""
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
     # More compression takes ten times as long for a tenth of the size: noise does not compress.
     encoded, data = cv2.imencode(".png", grey, [cv2.IMWRITE_PNG_COMPRESSION, 1])
     assert encoded
-    path.write_bytes(data.tobytes())
+    return data.tobytes()

@@ -11,7 +11,7 @@ from types import ModuleType
 from typing import Protocol
 
 from vergence.data.description import Description
-from vergence.errors import VergenceError
+from vergence.errors import VergenceError, explain
 from vergence.gaze.commands import HeadDriver, JointLimits
 
 
@@ -21,10 +21,15 @@ class Driver(HeadDriver, Protocol):
     `close` ends what the driver began, such as its threads, and releases cameras and servos.
     """
 
-    description: Description
-    """Cameras, joints and board, as in dataset.json."""
-    limits: JointLimits | None
-    """Ranges and speeds of the joints of a posture; None: the head takes no commands."""
+    @property
+    def description(self) -> Description:
+        """Cameras, joints and board, as in dataset.json."""
+        ...
+
+    @property
+    def limits(self) -> JointLimits | None:
+        """Ranges and speeds of the joints of a posture; None: the head takes no commands."""
+        ...
 
     def close(self) -> None:
         """Stop the joints where they are, and release the devices."""
@@ -39,7 +44,7 @@ def open_driver(name: str) -> Driver:
     """Open a driver named as `package.module:Name` or `folder/file.py:Name`.
 
     `Name` is a class or function without arguments; modules are also found in the current folder.
-    VergenceError if there is no such driver, or a part of it is missing.
+    VergenceError if there is no such driver, it cannot be opened, or a part of it is missing.
     """
     where, _, attribute = name.rpartition(":")
     if not where or not attribute.isidentifier():
@@ -50,7 +55,10 @@ def open_driver(name: str) -> Driver:
     make: Callable[[], Driver] | None = getattr(_module(where), attribute, None)
     if not callable(make):
         raise VergenceError(f"{where} has no class or function {attribute}; see {name!r}.")
-    driver = make()
+    try:
+        driver = make()
+    except (ValueError, OSError) as error:
+        raise VergenceError(f"The driver {name} cannot be opened: {explain(error)}.") from error
     missing = [part for part in PARTS if not hasattr(driver, part)]
     if missing:
         raise VergenceError(

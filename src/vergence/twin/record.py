@@ -97,7 +97,7 @@ def record(
     head = load_head_model() if head is None else head
     with_lens = f"{head.lens} lens" if head.lens else head.stated.model
     note = f"Recorded on the twin: profile {profile.name}, {with_lens}, seed {seed}."
-    description = _description(head.designed.head, board_as_given(profile, board), note)
+    description = describe_twin(head.designed.head, board_as_given(profile, board), note)
     true_angles: list[Array] = []
     images = 0
     with Twin(
@@ -227,7 +227,7 @@ def _sweep(twin: Twin, time_s: float) -> Array:
     return within(_ranges(twin), readings, 0.2 / factors)
 
 
-def _description(head: HeadCalibration, board: Board, note: str) -> Description:
+def describe_twin(head: HeadCalibration, board: Board, note: str) -> Description:
     """Describe the dataset of a head as designed."""
     cameras = {
         name: DatasetCamera(

@@ -1,0 +1,157 @@
+"""The command that captures a calibration recording with a head that is there."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import vergence as vg
+from vergence.cli.options import PAPER, Flag, Optional, TwinArguments, TwinOptions, check_outputs
+from vergence.cli.report import Report
+from vergence.cli.terminal import invocation, progress_bars
+from vergence.errors import VergenceError
+from vergence.files import finished_files
+
+if TYPE_CHECKING:
+    from vergence.data.dataset import Frame
+    from vergence.live.capture import CaptureSettings, CaptureState
+    from vergence.live.driver import Driver
+    from vergence.live.session import Look
+
+TELL_S = 3.0
+"""Time after which the next step is said again if it has changed [s]."""
+
+
+def capture(
+    *,
+    out: Path,
+    driver: Optional[str] = None,
+    twin: Flag = False,
+    folder: Optional[Path] = None,
+    goal_mm: float = 3.0,
+    at_m: float = 0.5,
+    most_views: int = 150,
+    calibration: Optional[Path] = None,
+    options: TwinArguments = PAPER,
+) -> Report:
+    """Capture a calibration recording: be told where to hold the board, until the head is accurate.
+
+    Args:
+        out: Folder of the dataset. One that an interrupted capture has left is continued.
+        driver: Driver of the head, such as my_head.py:MyHead (docs/own_driver.md).
+        twin: Use the twin, and a simulated person with a board.
+        folder: Folder with dataset.json to which another program adds images and lines of
+            frames.csv.
+        goal_mm: Wanted accuracy of points by the calibration, in its worst direction: standard
+            deviation [mm].
+        at_m: Distance of these points [m].
+        most_views: Number of views after which the capture ends.
+        calibration: JSON file of the calibration; default: calibration.json in the folder.
+        options: Options of the twin.
+    """
+    from vergence.calibration.calibrate import calibrate
+    from vergence.cli.calibration_report import calibration_report
+    from vergence.data.growing import add_rows, begin_dataset
+    from vergence.live.capture import CaptureSettings, begin_capture
+    from vergence.live.kept import kept_in
+    from vergence.live.session import run_capture
+
+    sources = [driver is not None, twin, folder is not None]
+    if sum(sources) != 1:
+        raise VergenceError(
+            "A capture is of one head: name --driver MODULE:NAME, --twin or --folder DIR; found "
+            f"{sum(sources)} of them."
+        )
+    if options != PAPER and not twin:
+        raise VergenceError("Options of the twin are given without --twin.")
+    calibration = calibration or out / "calibration.json"
+    check_outputs(calibration, inputs=[options.head])
+    with _head(driver, folder, options) as (head, look):
+        settings = CaptureSettings(
+            head.description,
+            head.limits,
+            goal_mm / 1e3,
+            at_m,
+            most_views=most_views,
+            seed=options.seed,
+        )
+        growing = begin_dataset(out, settings.description)
+        kept = kept_in(vg.load_dataset(out)) if growing.rows else ()
+
+        def keep(rows: tuple[vg.DatasetRow, ...]) -> None:
+            nonlocal growing
+            growing = add_rows(growing, *rows)
+
+        tell = _teller(settings)
+
+        def watch(state: CaptureState, frame: Frame) -> None:
+            tell(state)
+            look(state, frame)
+
+        try:
+            state = run_capture(head, settings, begin_capture(settings, kept), keep, look=watch)
+        except KeyboardInterrupt:
+            finished_files[:] = [out] if growing.rows else []
+            print("The same command goes on from here.", file=sys.stderr)
+            raise
+    print(f"Captured {state.views} views: {state.finished}.", file=sys.stderr)
+    with progress_bars() as progress:
+        result = calibrate(vg.load_dataset(out), progress=progress)
+    vg.save_head(result.head, calibration)
+    again = invocation("vergence", "calibrate", out, "--out", calibration, "--report", "report")
+    files = f"Wrote {out} and {calibration}.\nTo see the images and residuals: {again}"
+    return replace(calibration_report(result), files=files)
+
+
+def _teller(settings: CaptureSettings) -> Callable[[CaptureState], None]:
+    """Make the function that prints the status when it has changed."""
+    from vergence.live.status import next_step, status
+
+    said: tuple[object, ...] = ()
+    step, said_s = "", -math.inf
+
+    def tell(state: CaptureState) -> None:
+        nonlocal said, step, said_s
+        # A board that moves changes the words of the next step with each frame.
+        reached = len(state.kept), state.estimate is None, state.finished, state.sweep is None
+        late, now = state.watched.time_s > said_s + TELL_S, next_step(state)
+        if reached != said or (late and now != step):
+            print(status(settings, state), file=sys.stderr)
+            said, step, said_s = reached, now, state.watched.time_s
+
+    return tell
+
+
+@contextmanager
+def _head(
+    driver: str | None, folder: Path | None, options: TwinOptions
+) -> Iterator[tuple[Driver, Look]]:
+    """Open the head for a `with` block; also yield what its person does after each frame."""
+    from vergence.live.driver import open_driver
+
+    if driver is None and folder is None:
+        from vergence.twin.head import Twin
+        from vergence.twin.head_model import load_head_model
+        from vergence.twin.profile import load_profile
+        from vergence.twin.simulated_person import TwinBeforePerson
+
+        profile, model = load_profile(options.profile), load_head_model(options.head)
+        with Twin(profile, head=model, seed=options.seed, scene=options.scene) as twin:
+            person = TwinBeforePerson(twin, options.seed)
+            yield person, person.follow
+        return
+    if folder is not None:
+        from vergence.live.folder import FolderHead
+
+        opened: Driver = FolderHead(folder)
+    else:
+        opened = open_driver(str(driver))
+    try:
+        yield opened, lambda state, frame: None
+    finally:
+        opened.close()

@@ -1,0 +1,93 @@
+"""Views that a capture has kept, as observations and from a dataset."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from vergence.arrays import Array
+from vergence.calibration.detection import SYSTEMATIC_PX, detect_target
+from vergence.calibration.observations import Observations
+from vergence.data.dataset import Dataset, Frame
+from vergence.data.description import Description
+from vergence.data.timing import Timing
+from vergence.geometry.board import Board
+from vergence.vision.board_pose import seen_corners
+
+
+@dataclass(frozen=True, eq=False)
+class Kept:
+    """A view that was kept."""
+
+    time_s: float
+    joint_time_s: float
+    eye_angles: Array
+    """(r,) [rad]."""
+    neck_angles: Array
+    """(n,) [rad]."""
+    corners: Mapping[str, Array]
+    """By camera that saw the board (K, 2) [px], NaN where not seen."""
+    placement: int
+    moving: bool = False
+
+
+def kept_frame(
+    frame: Frame, corners: Mapping[str, Array], placement: int, *, moving: bool = False
+) -> Kept:
+    """Keep what a frame shows of the board."""
+    angles = np.array(frame.eye_angles, float), np.array(frame.neck_angles, float)
+    return Kept(frame.time_s, frame.joint_time_s, *angles, corners, placement, moving)
+
+
+def kept_in(dataset: Dataset) -> tuple[Kept, ...]:
+    """Find the board again in the images of a dataset; VergenceError as of `detect_target`."""
+    found = detect_target(dataset)
+    return tuple(
+        Kept(
+            float(dataset.time_s[row]),
+            float(dataset.joint_time_s[row]),
+            dataset.eye_angles[row],
+            dataset.neck_angles[row],
+            {name: c[row] for name, c in found.corners.items() if seen_corners(c[row]).any()},
+            int(dataset.placement[row]),
+            bool(dataset.moving[row]),
+        )
+        for row in range(len(dataset))
+    )
+
+
+def observations(
+    description: Description, board: Board, kept: tuple[Kept, ...], *, least_views: int
+) -> Observations:
+    """Collect the kept views, of the cameras that saw the board at rest in some of them."""
+    nothing = np.full((board.columns * board.rows, 2), np.nan)
+    at_rest = [view for view in kept if not view.moving]
+    cameras = {
+        name: stated
+        for name, stated in description.cameras.items()
+        if sum(name in view.corners for view in at_rest) >= least_views
+    }
+    timing = None
+    if len(at_rest) < len(kept):
+        run = np.array([view.moving for view in kept], int)  # one sweep is all that moves
+        timing = Timing(np.array([view.joint_time_s for view in kept]), run)
+    return Observations(
+        board=board,
+        placement=np.array([view.placement for view in kept]),
+        eye_angles=np.array([view.eye_angles for view in kept]),
+        corners={
+            name: np.array([view.corners.get(name, nothing) for view in kept]) for name in cameras
+        },
+        sizes={name: (stated.width, stated.height) for name, stated in cameras.items()},
+        eyes={name: stated.eye for name, stated in cameras.items()},
+        kinematics=description.head_kinematics,
+        timing=timing,
+        systematic_px=SYSTEMATIC_PX,
+        known_lenses={
+            name: (stated.intrinsics, stated.intrinsics_std_percent)
+            for name, stated in cameras.items()
+            if stated.intrinsics is not None and stated.intrinsics_std_percent is not None
+        },
+    )
