@@ -166,9 +166,8 @@ def _ask(settings: CaptureSettings, state: CaptureState, now_s: float) -> Captur
         description, limits_rad = settings.description, settings.limits_rad
         missing, seed = _missing(settings, state), settings.seed + rounds
         if rounds and missing:
-            views = views_of_camera(
-                description, missing[rounds % len(missing)], limits_rad, seed=seed
-            )
+            camera = missing[rounds % len(missing)]
+            views = views_of_camera(state.head, description, camera, limits_rad, seed=seed)
         else:
             views = first_views(description, limits_rad, seed=seed)
         rounds += 1

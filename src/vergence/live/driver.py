@@ -78,10 +78,11 @@ def _module(where: str) -> ModuleType:
         except ModuleNotFoundError as error:
             raise VergenceError(f"No driver can be loaded from {where}: {error}.") from None
     path = Path(where)
-    spec = importlib.util.spec_from_file_location(path.stem, path)
+    name = f"driver_{path.stem}"  # a file may be called as a package that it imports
+    spec = importlib.util.spec_from_file_location(name, path)
     if not path.is_file() or spec is None or spec.loader is None:
         raise VergenceError(f"There is no file {path} with a driver.")
     module = importlib.util.module_from_spec(spec)
-    sys.modules[path.stem] = module
+    sys.modules[name] = module
     spec.loader.exec_module(module)
     return module
