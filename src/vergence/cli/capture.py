@@ -11,9 +11,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import vergence as vg
-from vergence.cli.options import PAPER, Flag, Optional, TwinArguments, TwinOptions, check_outputs
+from vergence.cli.options import (
+    NO_VIEWER,
+    PAPER,
+    Flag,
+    Optional,
+    TwinArguments,
+    TwinOptions,
+    ViewerArguments,
+    check_outputs,
+)
 from vergence.cli.report import Report
-from vergence.cli.terminal import invocation, progress_bars
+from vergence.cli.terminal import invocation, progress_bars, viewing
 from vergence.errors import VergenceError
 from vergence.files import finished_files
 
@@ -22,6 +31,7 @@ if TYPE_CHECKING:
     from vergence.live.capture import CaptureSettings, CaptureState
     from vergence.live.driver import Driver
     from vergence.live.session import Look
+    from vergence.viewer.live import Viewer
 
 TELL_S = 3.0
 """Time after which the next step is said again if it has changed [s]."""
@@ -38,6 +48,7 @@ def capture(
     most_views: int = 150,
     calibration: Optional[Path] = None,
     options: TwinArguments = PAPER,
+    viewer: ViewerArguments = NO_VIEWER,
 ) -> Report:
     """Capture a calibration recording: be told where to hold the board, until the head is accurate.
 
@@ -53,6 +64,7 @@ def capture(
         most_views: Number of views after which the capture ends.
         calibration: JSON file of the calibration; default: calibration.json in the folder.
         options: Options of the twin.
+        viewer: Options of the viewer.
     """
     from vergence.calibration.calibrate import calibrate
     from vergence.cli.calibration_report import calibration_report
@@ -71,7 +83,7 @@ def capture(
         raise VergenceError("Options of the twin are given without --twin.")
     calibration = calibration or out / "calibration.json"
     check_outputs(calibration, inputs=[options.head])
-    with _head(driver, folder, options) as (head, look):
+    with viewing(viewer) as (opened, shown), _head(driver, folder, options) as (head, follow):
         settings = CaptureSettings(
             head.description,
             head.limits,
@@ -87,14 +99,16 @@ def capture(
             nonlocal growing
             growing = add_rows(growing, *rows)
 
-        tell = _teller(settings)
-
-        def watch(state: CaptureState, frame: Frame) -> None:
-            tell(state)
-            look(state, frame)
-
+        state, tell = begin_capture(settings, kept), _teller(settings)
         try:
-            state = run_capture(head, settings, begin_capture(settings, kept), keep, look=watch)
+            with _shown(settings, state, opened) as show:
+
+                def look(state: CaptureState, frame: Frame) -> None:
+                    tell(state)
+                    show(state, frame)
+                    follow(state, frame)
+
+                state = run_capture(head, settings, state, keep, look=look)
         except KeyboardInterrupt:
             finished_files[:] = [out] if growing.rows else []
             print("The same command goes on from here.", file=sys.stderr)
@@ -105,7 +119,7 @@ def capture(
     vg.save_head(result.head, calibration)
     again = invocation("vergence", "calibrate", out, "--out", calibration, "--report", "report")
     files = f"Wrote {out} and {calibration}.\nTo see the images and residuals: {again}"
-    return replace(calibration_report(result), files=files)
+    return replace(calibration_report(result), files=files, shown=shown)
 
 
 def _teller(settings: CaptureSettings) -> Callable[[CaptureState], None]:
@@ -125,6 +139,19 @@ def _teller(settings: CaptureSettings) -> Callable[[CaptureState], None]:
             said, step, said_s = reached, now, state.watched.time_s
 
     return tell
+
+
+@contextmanager
+def _shown(settings: CaptureSettings, state: CaptureState, viewer: Viewer | None) -> Iterator[Look]:
+    """Give a `with` block the function that shows a capture in a viewer; None: nothing is shown."""
+    if viewer is None:
+        yield lambda state, frame: None
+        return
+    from vergence.viewer.capture import capture_blueprint, capture_log
+    from vergence.viewer.live import open_feed
+
+    with open_feed("capture", capture_blueprint(state.head), viewer=viewer) as feed:
+        yield capture_log(feed, settings)
 
 
 @contextmanager
