@@ -94,7 +94,7 @@ class HeadWithoutImages:
                 found[name] = uv + self.rng.normal(0, self.noise.pixel_px, uv.shape)
         return found
 
-    def look(self, state: CaptureState, frame: Frame) -> None:
+    def follow(self, state: CaptureState, frame: Frame) -> None:
         """Let the person follow the guide."""
         if state.sweep is None:
             view = state.asked[0]
@@ -134,7 +134,7 @@ def capture(seed: int, goal_m: float) -> Captured:
     def look(state: CaptureState, frame: Frame) -> None:
         if state.outlook is not None and not begun:
             begun.append(state)
-        head.look(state, frame)
+        head.follow(state, frame)
 
     state = run_capture(
         head,

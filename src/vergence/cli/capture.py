@@ -158,7 +158,7 @@ def _shown(settings: CaptureSettings, state: CaptureState, viewer: Viewer | None
 def _head(
     driver: str | None, folder: Path | None, options: TwinOptions
 ) -> Iterator[tuple[Driver, Look]]:
-    """Open the head for a `with` block; also yield what its person does after each frame."""
+    """Open the head for a `with` block; also yield the function that moves its board."""
     from vergence.live.driver import open_driver
 
     if driver is None and folder is None:
@@ -179,6 +179,6 @@ def _head(
     else:
         opened = open_driver(str(driver))
     try:
-        yield opened, lambda state, frame: None
+        yield opened, getattr(opened, "follow", lambda state, frame: None)
     finally:
         opened.close()

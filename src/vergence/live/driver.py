@@ -18,7 +18,9 @@ from vergence.gaze.commands import HeadDriver, JointLimits
 class Driver(HeadDriver, Protocol):
     """A driver that describes its head: all that capture, calibration and gaze need of one.
 
-    `close` ends what the driver began, such as its threads, and releases cameras and servos.
+    `close` ends what the driver began, such as its threads, and releases cameras and servos. One
+    that also moves the board, such as with an arm, has `follow(state, frame)`: it is called after
+    each frame of a capture with the CaptureState, whose `asked[0]` is the view to show.
     """
 
     @property
