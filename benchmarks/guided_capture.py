@@ -27,6 +27,7 @@ from vergence.accuracy.plan_information import largest_std, total_information
 from vergence.accuracy.plan_views import admissible_views
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
+from vergence.demos.simulated_person import Person
 from vergence.gaze.commands import HeadCommand, hold, setpoint, usual_limits
 from vergence.geometry.board import Board, corner_points
 from vergence.geometry.head import HeadCalibration, pair_names
@@ -38,7 +39,6 @@ from vergence.live.estimate import Estimate, estimate
 from vergence.live.kept import kept_frame
 from vergence.live.session import run_capture
 from vergence.stereo.triangulation import triangulate_at
-from vergence.twin.simulated_person import Person
 
 DISTANCE_M = 0.5
 """Distance of the points whose accuracy counts [m]."""

@@ -17,12 +17,12 @@ from guided_capture import AtOnce, HeadWithoutImages, on_paper, share_inside, si
 from simulated_recording import BOARD
 from vergence.cli import parsed
 from vergence.data.growing import add_rows, begin_dataset
+from vergence.demos import simulated_person
 from vergence.live.capture import CaptureSettings, CaptureState, begin_capture
 from vergence.live.folder import FolderHead
 from vergence.live.kept import Kept, kept_in
 from vergence.live.session import run_capture
 from vergence.live.status import coverage, status
-from vergence.twin import simulated_person
 
 DRAWN = "--driver", "drawn_head_before_person:open_drawn"
 GOAL_M = 0.006

@@ -162,10 +162,10 @@ def _head(
     from vergence.live.driver import open_driver
 
     if driver is None and folder is None:
+        from vergence.demos.simulated_person import TwinBeforePerson
         from vergence.twin.head import Twin
         from vergence.twin.head_model import load_head_model
         from vergence.twin.profile import load_profile
-        from vergence.twin.simulated_person import TwinBeforePerson
 
         profile, model = load_profile(options.profile), load_head_model(options.head)
         with Twin(profile, head=model, seed=options.seed, scene=options.scene) as twin:

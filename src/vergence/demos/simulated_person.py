@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
@@ -13,15 +12,13 @@ from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.files import write_json
 from vergence.geometry.se3 import pose
+from vergence.live.capture import CaptureState
 from vergence.twin.calibration_sequence import BOARD, board_as_given
 from vergence.twin.evaluation import TRUTH, Truth
 from vergence.twin.head import Twin
 from vergence.twin.record import describe_twin
 from vergence.twin.sensors import with_sensors
 from vergence.twin.simulated_robot import SimulatedHead
-
-if TYPE_CHECKING:  # live stands above the twin
-    from vergence.live.capture import CaptureState
 
 MOVE_S, AGAIN_S = 2.0, 4.0
 """Time in which the person moves the board, and after which he tries again: assumed [s]."""
