@@ -47,12 +47,12 @@ def blind() -> Observations:
 NOT_OBSERVABLE = "left_wide.T_eye_cam is not observable"
 TWICE = "left_wide shows the board in 2 images at rest: fx, fy and T_eye"
 POOR = [
-    (Recording(reach_rad=(0.25, 0), noise=NOISE), (NOT_OBSERVABLE, "tilt by 0.00", "0.1 rad")),
-    (Recording(reach_rad=(0, 0.25), noise=NOISE), (NOT_OBSERVABLE, "pan by 0.00", "0.1 rad")),
+    (Recording(reach_rad=(0.25, 0), noise=NOISE), (NOT_OBSERVABLE, "by 0.00", "0.1 rad")),
+    (Recording(reach_rad=(0, 0.25), noise=NOISE), (NOT_OBSERVABLE, "by 0.00", "0.1 rad")),
     (Recording(reach_rad=(0.0087, 0.0087), noise=NOISE), (NOT_OBSERVABLE, "about one axis")),
     (Recording(together=True), (NOT_OBSERVABLE, "by 0.0")),
     (Recording(orientations=0), (NOT_OBSERVABLE, "in 1 view")),
-    (own_placements(), ("give the views of a board that stands still one number in `placement`",)),
+    (own_placements(), ("in 1 view", "share its number in `placement`")),
     (
         Recording(slant_rad=(0.0, 0.0), reach_rad=(0.16, 0.16)),
         ("left_wide.fx and fy are uncertain", "sees all boards at one angle"),

@@ -262,23 +262,6 @@ def test_eyes_that_share_readings_may_see_boards_one_after_the_other():
     assert np.isfinite(bundle_adjust(nearby(truth, rng), few).covariance).all()
 
 
-@pytest.mark.usefixtures("few_boards", "no_held_out_error")
-def test_joints_that_are_described_in_another_order_are_doubted():
-    """Tilt, pan and roll in place of pan, tilt and roll differ by the square of the angles only."""
-    rng = np.random.default_rng(5)
-    truth = without_offsets(other_head("pan, tilt, roll", rng))
-    seen = recording(truth, rng)
-    first, second, third = seen.kinematics.eyes["right"]
-    eyes: dict[Side, tuple[Joint, ...]] = {
-        "left": seen.kinematics.eyes["left"],
-        "right": (second, first, third),
-    }
-    otherwise = Kinematics(eyes, seen.kinematics.readings)
-    for each, doubted in ((replace(seen, kinematics=otherwise), True), (seen, False)):
-        found = calibrate(each, lens=LENS)
-        assert any("the order of the joints" in said for said in texts(found.findings)) == doubted
-
-
 @pytest.mark.usefixtures("no_held_out_error")
 @pytest.mark.parametrize(("kind", "still"), [("pan, tilt, roll", 2), ("version and vergence", 1)])
 def test_a_joint_that_never_moved_is_not_called_wrong(kind: str, still: int):

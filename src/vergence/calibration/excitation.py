@@ -12,17 +12,15 @@ import numpy as np
 from scipy.stats import norm, t
 
 from vergence.arrays import Array
-from vergence.calibration.hand_eye import LEAST_MOTION_RAD
 from vergence.calibration.intrinsics import Intrinsics, jackknife_covariance, noise_covariance
 from vergence.calibration.lenses import without_poses
 from vergence.calibration.observations import Observations, camera_eyes, most_seen
-from vergence.calibration.undetermined import ADVISED, spread
-from vergence.errors import VergenceError, counted
+from vergence.calibration.undetermined import little_turned, spread
+from vergence.errors import VergenceError
 from vergence.findings import Finding, void, warning
 from vergence.geometry.board import corner_points
 from vergence.geometry.head import HeadCalibration
-from vergence.geometry.kinematics import EYES, eye_joint_angles
-from vergence.geometry.se3 import known_poses, rotvec
+from vergence.geometry.se3 import known_poses
 from vergence.vision.board_pose import board_errors, determines_pose, seen_corners
 
 ONE_ANGLE_RAD = 0.1
@@ -47,42 +45,12 @@ def check_excitation(seen: Observations, T_cam_target: Mapping[str, Array]) -> N
     """
     if seen.eye_motion == "fixed":
         return
-    best: dict[int, tuple[float, float, str, np.ndarray]] = {}
-    for name, eye in camera_eyes(seen).items():
-        rows = most_seen(seen.placement, known_poses(T_cam_target[name]))
-        R = T_cam_target[name][rows, :3, :3]
-        turned = spread(rotvec(R @ R[:1].swapaxes(1, 2)))
-        found = (float(turned[1]), float(turned[0]), name, rows)
-        e = EYES.index(eye)
-        best[e] = max(best.get(e, found), found, key=lambda each: (each[0], len(each[3])))
-    said = [_lacking(seen, e, *best[e]) for e in sorted(best) if best[e][0] < LEAST_MOTION_RAD]
-    if said:
-        raise VergenceError(" ".join(said))
-
-
-def _lacking(
-    seen: Observations, e: int, second: float, first: float, name: str, rows: np.ndarray
-) -> str:
-    """Say how an eye moved, and what to move instead."""
-    eye, joints = EYES[e], seen.kinematics.eyes[EYES[e]]
-    measured = seen.T_base_eye is not None
-    advice = f"turn it {ADVISED} about two axes" if measured else f"move each joint {ADVISED}"
-    how = ""
-    if not measured and len(joints) < 2:
-        how = f" (by `kinematics` it has {counted(len(joints), 'joint')})"
-        advice = "describe the joints of what carries it, or leave the camera out"
-    elif not measured and len(rows) > 2:
-        moved = eye_joint_angles(seen.kinematics, eye, seen.eye_angles[rows]).std(axis=0)
-        moves = zip(joints, moved, strict=True)
-        how = f" ({', '.join(f'{joint.name} by {rad:.2g} rad' for joint, rad in moves)})"
-    if len(np.unique(seen.placement)) == len(seen.placement):
-        advice = "give the views of a board that stands still one number in `placement`"
-    return (
-        f"{name}.T_eye_cam is not observable: before a board at rest, in "
-        f"{counted(len(rows), 'view')}, the {eye} eye turns by {first:.2g} rad about one axis and "
-        f"by {second:.2g} rad about another{how}; {advice}, and record 20 views or more of one "
-        "board."
-    )
+    turned = {
+        name: T[most_seen(seen.placement, known_poses(T)), :3, :3]
+        for name, T in T_cam_target.items()
+    }
+    if findings := list(little_turned(turned, camera_eyes(seen))):
+        raise VergenceError(" ".join(each.sentence for each in findings))
 
 
 def doubtful_focal_lengths(

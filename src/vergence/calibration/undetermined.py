@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
@@ -10,29 +10,24 @@ from vergence.arrays import Array
 from vergence.calibration.hand_eye import LEAST_MOTION_RAD
 from vergence.calibration.observations import most_seen
 from vergence.calibration.outcome import Outcome
-from vergence.calibration.readings import PLAY
 from vergence.calibration.residuals import Detections
-from vergence.errors import listed
+from vergence.errors import counted, listed
 from vergence.estimation.variables import Variables
 from vergence.findings import Finding, void, warning
 from vergence.geometry.head import parameter_names
-from vergence.geometry.kinematics import EYES
+from vergence.geometry.kinematics import EYES, Side
 from vergence.geometry.lens import COEFFICIENTS
 from vergence.geometry.se3 import rotvec
 
 FEW = 6
 """Degrees of freedom below which an estimated noise level is heavy-tailed, and the covariance
 optimistic."""
-NOISY, NOISY_RAD = 5.0, np.radians(0.2)
-"""Ratio of the noise of readings to that of all others, and noise, from which they are doubted."""
 NAMED = 0.3
 """A direction's components of this size, relative to the largest, are named."""
 ADVISED = "by at least 0.1 rad, better 0.25"
 """Median stated deviation of the worst axis, 20 views at 0.1 px and 0.1 degrees, board at 0.4 m:
 0.92 degrees and 2.6 mm for motion within 0.03 rad, 0.27 and 0.8 within 0.1, 0.10 and 0.3 within
 0.25."""
-SENSE = 6.0
-"""Motion, as a multiple of the noise of its mean, from which its sense is certain."""
 
 _WORDS = {f"r{axis}": f"rotation about {axis}" for axis in "xyz"}
 _WORDS |= {f"t{axis}": f"translation along {axis}" for axis in "xyz"}
@@ -47,11 +42,7 @@ def spread(vectors: Array) -> Array:
 
 
 def doubtful(of: Outcome) -> Iterator[Finding]:
-    """Report an estimate that must not be used.
-
-    It did not converge, or a reading moves so little before boards at rest that the sense of the
-    motion is uncertain.
-    """
+    """Report an estimate that must not be used: it did not converge, or rests on too little."""
     yield from about_one_axis(of.problem.measured.detections, of.found.x)
     if not of.found.converged:
         sentence = (
@@ -61,51 +52,41 @@ def doubtful(of: Outcome) -> Iterator[Finding]:
             "turn farther."
         )
         yield void("not-converged", sentence)
-    if of.poses_read or not of.readings.level:
-        return
-    detections, postures = of.problem.measured.detections, of.problem.readings.postures
-    posture, board = np.unique([detections.posture, detections.board], axis=1)
-    eye = postures.eye[posture]
-    _, at_rest = np.unique([eye, board], axis=1, return_inverse=True)
-    values, count = of.found.x.latent.value[posture], np.bincount(at_rest.ravel())
-    mean = [np.bincount(at_rest.ravel(), column) / count for column in values.T]
-    away = values - np.transpose(mean)[at_rest.ravel()]
-    names = of.found.x["head"].kinematics.readings
-    for e in np.unique(eye[count[at_rest.ravel()] > 1]):
-        size = np.linalg.norm(away[eye == e], axis=0)
-        columns = postures.columns[postures.eye == e][0]
-        for k, level in enumerate(of.problem.readings.level):
-            if not level.startswith(PLAY) and size[k] < SENSE * of.found.levels[level]:
-                name = names[columns[k]]
-                sentence = (
-                    f"The noise of {name} is {of.found.levels[level]:.2g} rad, and even the sense "
-                    f"of the motion is uncertain: let it turn {ADVISED}."
-                )
-                yield void("doubtful-sense", sentence, name)
 
 
 def about_one_axis(detections: Detections, x: Variables) -> Iterator[Finding]:
-    """Report eyes that turn about one axis only: their cameras may then stand anywhere along it."""
+    """Report eyes that turn about one axis only, by their poses."""
     parameters = np.array(parameter_names(x["head"]))[x.shared["head"].free]
-    R = detections.eye_poses(x)[:, :3, :3]
-    for e, eye in enumerate(EYES):
-        cameras = np.unique(detections.camera[detections.eyes == e]).tolist()
-        names = [detections.cameras[c] for c in cameras]
-        still = not x["head"].kinematics.eyes[eye]
-        if still or not any(f"{name}.T_eye_cam.tx" in parameters for name in names):
-            continue
-        turned = []
-        for c in cameras:
+    R, turned, eyes = detections.eye_poses(x)[:, :3, :3], {}, {}
+    for c in np.unique(detections.camera).tolist():
+        name, eye = detections.cameras[c], EYES[detections.eye[c]]
+        if x["head"].kinematics.eyes[eye] and f"{name}.T_eye_cam.tx" in parameters:
             mine = np.flatnonzero(detections.camera == c)
             mine = mine[most_seen(detections.board[mine], np.ones(len(mine), bool))]
-            turned.append(spread(rotvec(np.swapaxes(R[mine[:1]], 1, 2) @ R[mine])))
-        first, second, _ = max(turned, key=lambda each: each[1])
+            turned[name], eyes[name] = R[mine], eye
+    yield from little_turned(turned, eyes)
+
+
+def little_turned(turned: Mapping[str, Array], eyes: Mapping[str, Side]) -> Iterator[Finding]:
+    """Report eyes that turn too little about a second axis: cameras may stand along the first.
+
+    By camera: rotations (N, 3, 3) of its eye or of the board that it sees most often at rest, and
+    its eye, for which its camera that turns most counts.
+    """
+    for eye in EYES:
+        moves = [
+            (*spread(rotvec(np.swapaxes(R[:1], 1, 2) @ R))[1::-1].tolist(), len(R), name)
+            for name, R in turned.items()
+            if eyes[name] == eye
+        ]
+        second, first, count, name = max(moves, default=(np.inf, np.inf, 0, ""))
         if second < LEAST_MOTION_RAD:
-            where = f"{names[0]}.T_eye_cam"
+            where = f"{name}.T_eye_cam"
             sentence = (
-                f"{where} is not observable: before a board at rest the {eye} eye turns by "
-                f"{first:.2g} rad about one axis and by {second:.2g} rad about another; turn it "
-                f"{ADVISED} about two axes."
+                f"{where} is not observable: before a board at rest, in {counted(count, 'view')}, "
+                f"the {eye} eye turns by {first:.2g} rad about one axis and by {second:.2g} rad "
+                f"about another; turn it {ADVISED} about two axes, in 20 views or more of one "
+                "board, which share its number in `placement`."
             )
             yield void("one-axis", sentence, where)
 
@@ -190,26 +171,3 @@ def noise(of: Outcome) -> Iterator[Finding]:
                 "the stated accuracy is rough; record more views."
             )
             yield warning("noise-roughly-known", sentence, what)
-
-
-def noisy_readings(of: Outcome) -> Iterator[Finding]:
-    """Report readings that are far noisier than all others, relative to their joints.
-
-    Joints in another order than described turn like noise: by the square of the angles.
-    """
-    if of.poses_read or len(of.reading_levels) < 2:
-        return
-    kinematics, postures = of.found.x["head"].kinematics, of.problem.readings.postures
-    columns = [np.unique(postures.columns[:, list(level.latent)]) for level in of.reading_levels]
-    noise = np.array([of.found.levels[level.name] for level in of.reading_levels])
-    noise *= [kinematics.gear_ratios[each].max() for each in columns]
-    worst = int(noise.argmax())
-    others = np.delete(noise, worst).max()
-    if noise[worst] > max(NOISY * others, NOISY_RAD):
-        names = listed([kinematics.readings[k] for k in columns[worst]])
-        sentence = (
-            f"The noise of {names} is {np.degrees(noise[worst]):.2g} degrees of a joint, that of "
-            f"other readings {np.degrees(others):.2g} at most: check the encoder, and in "
-            "`kinematics` the order of the joints of each eye and their axes."
-        )
-        yield warning("noisy-readings", sentence, names)
