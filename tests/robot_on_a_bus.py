@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from unittest.mock import patch
 
@@ -35,12 +35,16 @@ SERVOS = {
 SETTLE_S = 0.1
 """Simulated time in which the twin's joints reach an angle, to 0.1 mrad [s]."""
 
+LATE_S = 0.02
+"""Time from the exposure of an image to the stamp that the camera gives it [s]."""
+
 
 class RobotOnABus:
     """The twin behind a line and cameras, in the time of the wall clock."""
 
-    T_lbase_board: Array | None = None
-    """(4, 4) where the board is, in the left eye's base; None: out of sight."""
+    T_lbase_board: Callable[[float], Array | None] = staticmethod(lambda time_s: None)
+    """(4, 4) where the board is at a time of the wall clock, in the left eye's base; None: out of
+    sight."""
     object_lbase: Array | None = None
     """(3,) [m] where the object is; None: out of sight."""
 
@@ -70,12 +74,14 @@ class RobotOnABus:
             with Twin(load_profile(profile), seed=seed, oversampling=1) as twin:
                 self.truth = twin.truth
                 while self._open:
-                    posture = twin.posture(self.angles(time.monotonic()))
+                    time_s = time.monotonic()
+                    posture = twin.posture(self.angles(time_s))
                     twin.advance(twin.time_s + SETTLE_S, posture)
-                    twin.place_board(self.T_lbase_board)
+                    twin.place_board(self.T_lbase_board(time_s))
                     twin.place_object(self.object_lbase)
                     images = twin.capture(self.cameras).images
                     with self._taken:
+                        self.stamp_s = time_s + LATE_S
                         self._pictures = {
                             n: image for n, image in images.items() if image is not None
                         }
@@ -86,11 +92,11 @@ class RobotOnABus:
                 self.error = error
                 self._taken.notify_all()
 
-    def next_picture(self, camera: str, number: int) -> tuple[int, np.ndarray] | None:
-        """Wait for a picture (H, W, 3) in RGB that is later than a number."""
+    def next_picture(self, camera: str, number: int) -> tuple[int, float, np.ndarray] | None:
+        """Wait for the number, stamp and (H, W, 3) RGB of a picture later than a number."""
         with self._taken:
             if self._taken.wait_for(lambda: self._number > number, 1.0):
-                return self._number, self._pictures[camera]
+                return self._number, self.stamp_s, self._pictures[camera]
         return None
 
     def close(self) -> None:
@@ -105,16 +111,19 @@ class RenderedCamera:
     robot: RobotOnABus
 
     def __init__(self, device: str):
-        self._camera, self._number = device, 0
+        self._camera, self._number, self._stamp_s = device, 0, 0.0
         self._picture = np.empty(0)
 
     def set(self, what: int, value: float) -> bool:
         return True
 
+    def get(self, what: int) -> float:
+        return 1e3 * self._stamp_s
+
     def grab(self) -> bool:
         found = self.robot.next_picture(self._camera, self._number)
         if found is not None:
-            self._number, self._picture = found
+            self._number, self._stamp_s, self._picture = found
         return found is not None
 
     def retrieve(self) -> tuple[bool, np.ndarray]:

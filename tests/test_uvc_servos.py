@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import cv2
@@ -41,12 +41,16 @@ class Pictures:
     """Stands for cv2.VideoCapture: a picture every 10 ms, until unplugged."""
 
     plugged = True
+    stamp_ms: Callable[[], float] = staticmethod(lambda: 0.0)
 
     def __init__(self, device: int):
         self.device = device
 
     def set(self, what: int, value: float) -> bool:
         return True
+
+    def get(self, what: int) -> float:
+        return Pictures.stamp_ms()
 
     def grab(self) -> bool:
         time.sleep(0.01)
@@ -75,7 +79,7 @@ def bus(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iter
         "SERVOS": SERVOS,
         "SHARED": {"right_tilt": "left_tilt"},
         "CAMERAS": {"left_camera": (0, camera), "right_camera": (2, replace(camera, eye="right"))},
-        "FAILED_S": 0.3,
+        "FAILED_S": 0.5,
     }.items():
         monkeypatch.setattr(uvc_servos, name, value)
     monkeypatch.setattr(cv2, "VideoCapture", Pictures)
@@ -122,6 +126,15 @@ def test_positions_and_commands_are_radians_with_signs_and_zeros(bus, head):
     assert abs(now.time_s - head.now_s()) < 0.1
 
 
+def test_an_image_has_the_time_of_its_stamp_on_this_clock(head, monkeypatch):
+    image_s = frame(head).time_s
+    assert 0 <= head.now_s() - image_s < 0.08  # by its arrival
+    monkeypatch.setattr(Pictures, "stamp_ms", lambda: 1e3 * (time.monotonic() - 0.1))
+    frame(head)
+    image_s = frame(head).time_s
+    assert 0.1 <= head.now_s() - image_s < 0.18
+
+
 def test_joints_that_share_a_servo_share_its_reading(head):
     assert head.limits.joints == ("neck_yaw", "left_pan", "left_tilt", "right_pan")
     assert head.description.head_kinematics.readings == head.limits.joints[1:]
@@ -141,7 +154,7 @@ def test_close_stops_the_joints_where_they_are(bus):
     assert abs(stopped[0] - 2048) < 0.4 * 4096 / (2 * np.pi)
 
 
-def test_a_damaged_answer_is_left_out(bus, head):
+def test_a_damaged_answer_is_asked_for_again(bus, head):
     """One bit of every eleventh answer is flipped: no reading is wrong, and frames still come."""
     answers = iter(range(10_000))
 
@@ -167,9 +180,10 @@ def test_a_servo_that_is_missing_is_named(bus):
         UvcServoHead()
 
 
-def test_answers_that_come_late_are_not_taken_for_the_next(bus):
+def test_answers_that_come_late_are_not_taken_for_the_next(bus, monkeypatch):
     """An answer after the time-out waits in the buffer when the next request is sent."""
     line = uvc_servos.ServoBus(ORDER)
+    monkeypatch.setattr(uvc_servos, "ATTEMPTS", 1)
     bus.silent.add(1)  # the answers of the two behind it stay in the buffer
     with pytest.raises(VergenceError, match="Servo 1"):
         line.read()

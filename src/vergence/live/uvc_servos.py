@@ -65,14 +65,16 @@ CAMERAS: Mapping[str, tuple[int | str, DatasetCamera]] = {
 """Cameras by name: N of /dev/videoN, or a lasting name as in /dev/v4l/by-path; and the camera."""
 BOARD: Board = Chessboard(columns=9, rows=6, square_m=0.03)
 LATENCY_S = 0.0
-"""Time from exposure to arrival of an image [s]; `calibrate` estimates it from moving eyes."""
+"""Time from exposure to the stamp of an image [s]; `calibrate` estimates it from moving eyes."""
 TICKS = 4096
 """Positions in a turn."""
 PERIOD_S = 0.005
 """Time between set points [s]; four servos answer in 2 ms at 1 Mbaud."""
+ATTEMPTS = 3
+"""Number of requests until a servo counts as silent; one answer in thousands is damaged."""
 GAP_S = 0.03
-"""Longest time between an image and the nearest positions [s]; a frame, six set points."""
-FAILED_S = 1.0
+"""Longest time of a request, and between an image and the nearest positions [s]; a frame."""
+FAILED_S = 3.0
 """Time without images or positions after which a camera or servo has failed [s]."""
 
 
@@ -106,19 +108,19 @@ class ServoBus:
         self._write(torque, 1, [1] * len(ids))
 
     def read(self) -> Array:
-        """Read the positions (n,) [ticks]; VergenceError for a missing or damaged answer."""
-        self._line.ser.reset_input_buffer()  # Feetech's package would take late answers for new
-        result, answers = self._reader.txRxPacket(), self._reader.data_dict
-        values = [int.from_bytes(bytes(answers[each]), "little") for each in self._ids]
-        for each, value in zip(self._ids, values, strict=True):
-            if len(answers[each]) != self._size or value >= TICKS:
-                raise VergenceError(
-                    f"Servo {each} on {PORT} does not answer with a position within a turn; check "
-                    f"its id, its baud rate (here {BAUD}), cable and supply."
-                )
-        if result != 0:
-            raise VergenceError(f"The line {PORT} fails: {self._packets.getTxRxResult(result)}")
-        return np.array(values, float)
+        """Read the positions (n,) [ticks]; VergenceError if answers stay missing or damaged."""
+        wrong: list[int] = []
+        for _ in range(ATTEMPTS):
+            self._line.ser.reset_input_buffer()  # Feetech's package would take late answers for new
+            result, answers = self._reader.txRxPacket(), self._reader.data_dict
+            values = {n: int.from_bytes(bytes(answers[n]), "little") for n in self._ids}
+            wrong = [n for n in self._ids if len(answers[n]) != self._size or values[n] >= TICKS]
+            if result == 0 and not wrong:
+                return np.array(list(values.values()), float)
+        raise VergenceError(
+            f"Servo {(wrong or self._ids)[0]} on {PORT} does not answer with a position within a "
+            f"turn; check its id, its baud rate (here {BAUD}), cable and supply."
+        )
 
     def move(self, positions: Array) -> None:
         """Send the servos to positions (n,) [ticks]."""
@@ -191,7 +193,8 @@ class UvcServoHead:
                 asked_s = self.now_s()
                 try:
                     angles = self._rad * (self._bus.read() - self._zero)
-                    self._measured.append((asked_s, angles))
+                    if self.now_s() < asked_s + GAP_S:  # else its time is not known well
+                        self._measured.append((asked_s, angles))
                 except VergenceError:
                     if asked_s - self._measured[-1][0] > FAILED_S:
                         raise
@@ -206,10 +209,12 @@ class UvcServoHead:
             if not capture.grab():
                 time.sleep(PERIOD_S)  # unplugged
                 continue
-            arrived_s = self.now_s()  # before the image is decoded
+            arrived_s, stamp_s = self.now_s(), capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
+            stamped = 0 < arrived_s - stamp_s < FAILED_S  # Linux does, on this clock
             decoded, image = capture.retrieve()
             if decoded:
-                self._images[name] = arrived_s, cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+                rgb = cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+                self._images[name] = stamp_s if stamped else arrived_s, rgb
 
     def now_s(self) -> float:
         """Read the clock of images and positions [s]."""
@@ -226,9 +231,9 @@ class UvcServoHead:
                 raise VergenceError(f"The camera {waiting[0]} gives no images any more.")
             time.sleep(PERIOD_S / 2)
         taken = {name: self._images[name] for name in cameras}
-        self._given_s |= {name: arrived_s for name, (arrived_s, _) in taken.items()}
-        arrived_s = [arrived_s for arrived_s, _ in taken.values()] or [self.now_s()]
-        time_s = float(np.mean(arrived_s)) - LATENCY_S
+        self._given_s |= {name: stamp_s for name, (stamp_s, _) in taken.items()}
+        stamps_s = [stamp_s for stamp_s, _ in taken.values()] or [self.now_s()]
+        time_s = float(np.mean(stamps_s)) - LATENCY_S
         while self._measured[-1][0] < time_s:
             if self._error:
                 raise VergenceError(self._error)
