@@ -68,7 +68,7 @@ def test_the_page_s_commands_lead_to_points(robot, monkeypatch, capsys):
     place = folder / "robot" / "map.toml"
     with pytest.raises(SystemExit):
         run(monkeypatch, *direct)
-    assert "is not filled in, square_m = " in capsys.readouterr().err
+    assert "square_m: " in capsys.readouterr().err
     written, page = place.read_text(), first(PAGE, "toml")
     filled = written.replace('"?"', "0.03").replace(
         '"r_eye_pan", unit = "deg", sign = 1', '"r_eye_pan", unit = "deg", sign = -1'

@@ -8,9 +8,7 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from functools import lru_cache
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import islice
 
 import numpy as np
@@ -32,8 +30,6 @@ _MEANINGS = {
     "pan": "pan yaw azimuth",
     "tilt": "tilt pitch elevation",
     "roll": "roll",
-    "version": "version vers",
-    "vergence": "vergence verg",
     "eye": "eye eyes eyeball camera cameras cam stereo",
     "neck": "neck head face",
     "narrow": "narrow fovea foveal tele zoom",
@@ -41,22 +37,13 @@ _MEANINGS = {
     "waist base third external depth disparity mask segmentation label confidence thermal",
 }
 """Meanings of words; "no": neither an eye's, nor a picture."""
+_TURNS = "pan", "tilt"
 _WORDS = {word: meaning for meaning, words in _MEANINGS.items() for word in words.split()}
-_ICUB = "neck_pitch", "neck_roll", "neck_yaw", "eyes_tilt", "eyes_version", "eyes_vergence"
-"""Order of the six joints of an iCub's head, which YARP numbers."""
-
-
-@dataclass(frozen=True)
-class _Joint:
-    column: str = UNKNOWN
-    words: frozenset[str] = frozenset()
-    unit: str = "rad"
-    reason: str = "guess"
 
 
 def first_map(recording: Recording, scanned: Scan) -> str:
     """Guess the map of a scanned recording, as the text of a TOML file."""
-    cameras, joints = _cameras(scanned), _joints(scanned)
+    cameras = _cameras(scanned)
     lines = ['# A first map. Correct the guesses that are wrong, and fill in each "?".']
     for name, (channel, reason) in cameras.items():
         lines += [f"\n[cameras.{name}]", f"images = {_text(channel)}"]
@@ -65,7 +52,7 @@ def first_map(recording: Recording, scanned: Scan) -> str:
         lines += [f"lens = {_text(lens)}  # sure: of the same name" for lens in lenses[:1]]
     channels = [channel for channel, _ in cameras.values()]
     lines += _board_lines([*_some_images(recording, scanned, channels)])
-    lines += _joint_lines(joints, [eye for eye in EYES if any(eye in name for name in cameras)])
+    lines += _joint_lines(scanned, [eye for eye in EYES if any(eye in name for name in cameras)])
     return "\n".join(lines) + "\n"
 
 
@@ -129,88 +116,46 @@ def _board_lines(images: Sequence[np.ndarray]) -> Iterator[str]:
     yield f"square_m = {_text(UNKNOWN)}  # the side of a square [m], measured; no image shows it"
 
 
-def _joints(scanned: Scan) -> list[_Joint]:
-    """Describe the joints; two channels may have joints of one name."""
-    count, found = Counter(name for _, name in scanned.joints), []
-    for channel in dict.fromkeys(channel for channel, _ in scanned.joints):
-        names = [name for owner, name in scanned.joints if owner == channel]
-        yarp = names[0].startswith(f"{channel}/")  # numbers of its vectors
-        icub = yarp and "neck" in _read_name(channel) and len(names) == len(_ICUB)
-        words = [_read_name(name) for name in (_ICUB if icub else names)]
-        values = [scanned.joints[channel, name].values for name in names]
-        of_head = [each for each, has in zip(values, words, strict=True) if has & {"eye", "neck"}]
-        most = max((float(np.abs(each).max()) for each in of_head), default=0.0)
-        unit = "deg" if yarp or most > np.pi else "rad"
-        reason = f"{'sure' if most > 2 * np.pi else 'guess'}: {unit}"
-        for name, has, each in zip(names, words, values, strict=True):
-            column = name if count[name] == 1 else f"{channel}:{name}"
-            span = f"{reason}, {each.min():.3g} to {each.max():.3g}"
-            found.append(_Joint(column, has, unit, span))
-    return found
-
-
-def _joint_lines(joints: Sequence[_Joint], eyes: Sequence[str]) -> Iterator[str]:
-    """Describe pan and tilt of each eye, or version and vergence, and the neck."""
-    if not joints:
+def _joint_lines(scanned: Scan, eyes: Sequence[str]) -> Iterator[str]:
+    """Describe pan and tilt of each eye, and the joints of the neck."""
+    if not scanned.joints:
         yield "\n# No joint readings: name frames of TF that turn with the eyes, as poses."
         return
-    usable = [each for each in joints if "no" not in each.words]
-    roles = {f"{eye}_{motion}": (eye, motion) for eye in eyes for motion in ("pan", "tilt")}
-    found = {role: _turning(usable, *way) for role, way in roles.items()}
-    version = [each for each in usable if each.words & {"version", "vergence"}]
-    if len(version) == 2:
-        version.sort(key=lambda each: "vergence" in each.words)
-        version.append(found["left_tilt"][0])
-        yield from _version_lines(*version)
-        found = {}
     yield "\n[joints]  # pan is positive to the left, tilt down; calibrate names wrong signs"
-    taken = [*version, *(each for each, _ in found.values())]
-    for each in usable:
-        if "neck" in each.words and each.words & {"pan", "tilt", "roll"} and each not in taken:
-            name = re.sub(r"\W", "_", each.column, flags=re.ASCII)[:50]
-            name = name if re.match("neck|head", name) else f"neck_{name}"
-            found[name] = each, "guess: a joint of the neck"
-    for name, (joint, reason) in found.items():
-        source = f'column = {_text(joint.column)}, unit = "{joint.unit}", sign = 1'
-        yield f"{name} = {{ {source} }}  # {reason}; {joint.reason}; guess: sign"
+    count = Counter(name for _, name in scanned.joints)
+    joints, ends = dict[str, frozenset[str]](), dict[str, tuple[float, float]]()
+    for (channel, name), track in scanned.joints.items():
+        column = name if count[name] == 1 else f"{channel}:{name}"
+        if "no" not in (words := _read_name(name)):
+            joints[column] = words
+        ends[column] = float(track.values.min()), float(track.values.max())
+    of_head = [max(map(abs, ends[c])) for c, words in joints.items() if words & {"eye", "neck"}]
+    unit = "deg" if max(of_head, default=0.0) > np.pi else "rad"
+    roles = {f"{eye}_{turn}": _turning(joints, eye, turn) for eye in eyes for turn in _TURNS}
+    for column, words in joints.items():
+        if "neck" in words and words & {*_TURNS, "roll"} and column not in roles.values():
+            name = re.sub(r"\W", "_", column, flags=re.ASCII)[:50]
+            roles[name if re.match("neck|head", name) else f"neck_{name}"] = column
+    for name, column in roles.items():
+        sure = {"eye", *name.split("_")} <= joints.get(column, set())
+        read = f", {ends[column][0]:.3g} to {ends[column][1]:.3g}" if column in ends else ""
+        source = f'column = {_text(column)}, unit = "{unit}", sign = 1'
+        yield f"{name} = {{ {source} }}  # {'sure' if sure else 'guess'}; guess: sign, {unit}{read}"
 
 
-def _turning(joints: Sequence[_Joint], eye: str, motion: str) -> tuple[_Joint, str]:
-    own = [each for each in joints if motion in each.words]
-    mine = [each for each in own if eye in each.words]
-    shared = [each for each in own if not each.words & set(EYES)]
-    shared.sort(key=lambda each: ("neck" in each.words, "eye" not in each.words))
-    if mine:
-        return mine[0], f"{'sure' if 'eye' in mine[0].words else 'guess'}: by its name"
-    return (shared[0], "guess: both eyes share it") if shared else (_Joint(), "no name tells it")
+def _turning(joints: Mapping[str, frozenset[str]], eye: str, turn: str) -> str:
+    """Choose the joint that turns an eye, or else one that both eyes share."""
 
+    def unlikely(column: str) -> tuple[bool, ...]:
+        return eye not in joints[column], "neck" in joints[column], "eye" not in joints[column]
 
-def _version_lines(version: _Joint, vergence: _Joint, tilt: _Joint) -> Iterator[str]:
-    """Describe eyes whose common tilt carries their pans, as the iCub's."""
-    yield "\n[kinematics]  # guess: the tilt carries the pans; left pan = version - vergence / 2"
-    for eye, half in zip(EYES, (-0.5, 0.5), strict=True):
-        pan = f"{_text(version.column)} = 1, {_text(vergence.column)} = {half}"
-        yield f"{eye} = ["
-        for name, factors in ("tilt", f"{_text(tilt.column)} = 1"), ("pan", pan):
-            yield f'    {{ name = "{name}", axis = "{name}", readings = {{ {factors} }} }},'
-        yield "]"
-    yield "\n[readings]  # calibrate names wrong signs"
-    for each in (version, vergence, tilt):
-        yield f'{_text(each.column)} = {{ unit = "{each.unit}", sign = 1 }}  # {each.reason}'
+    others = {*EYES} - {eye}
+    usable = [column for column, words in joints.items() if turn in words and not words & others]
+    return min(usable, key=unlikely, default=UNKNOWN)
 
 
 def _read_name(name: str) -> frozenset[str]:
     """Find the meanings in a name such as `/stereo/left/image_raw`, `l_eye_pan` or `EyesTilt`."""
     spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", name)
-    parts = (part for word in re.findall(r"[a-z]+", spaced.lower()) for part in _split(word))
-    return frozenset(_WORDS[part] for part in parts if part in _WORDS)
-
-
-@lru_cache(maxsize=4096)
-def _split(word: str) -> tuple[str, ...]:
-    """Split a word such as `lpan` or `leftcamera` where all its parts are known."""
-    if word not in _WORDS and len(word) <= 40:
-        for k in range(len(word) - 1, 0, -1):
-            if word[:k] in _WORDS and set(rest := _split(word[k:])) <= _WORDS.keys():
-                return (word[:k], *rest)
-    return (word,)
+    words = re.findall(r"[a-z]+", spaced.lower())
+    return frozenset(_WORDS[word] for word in words if word in _WORDS)

@@ -25,8 +25,6 @@ UNITS_NS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
 """Units of time [ns]."""
 SINCE_1970_S = 9.4e8, 4.2e9
 """Times [s] that count as seconds since 1970: of the years 2000 to 2100."""
-MAX_STEP_S = 20.0
-"""Longest usual time [s] between successive stamps that do not count from 1970."""
 _UNIT = re.compile(r"(?:^|[^a-z])(nano|micro|milli|[num])?(s|secs?|seconds?)[^a-z]*$")
 
 
@@ -80,20 +78,17 @@ def _read(
 def files_in(root: Path) -> Iterator[Path]:
     """List files by their path in a folder, 9.png before 10.png.
 
-    Links to folders are followed, each folder once: none that is in this one, or that holds it.
+    Links to folders are followed, each folder once.
     """
-    seen = {real := root.resolve()}
+    known = {root.resolve()}
     for count, (folder, folders, names) in enumerate(os.walk(root, followlinks=True)):
-        for name in sorted(folders):
-            link = Path(folder, name)
-            to = link.resolve()
-            within = link.is_symlink() and to.is_relative_to(real)
-            if within or to in seen or real.is_relative_to(to):
-                folders.remove(name)
-            seen.add(to)
-        folders.sort()
         if count == MAX_FOLDERS:
             return
+        for name in sorted(folders):
+            if (real := Path(folder, name).resolve()) in known:
+                folders.remove(name)
+            known.add(real)
+        folders.sort()
         within = Path(folder).relative_to(root)
         yield from (within / name for name in sorted(names, key=lambda n: (len(n), n)))
 
@@ -134,29 +129,25 @@ def nanoseconds(values: np.ndarray, unit: str, where: str) -> np.ndarray:
 def read_stamps(values: np.ndarray, name: str, where: str) -> tuple[str, np.ndarray]:
     """Convert stamps (N,) to nanoseconds, and tell the unit that they have.
 
-    It is the last word of their name, or follows from their size and steps. VergenceError if they
-    are impossible, or may as well be the numbers of frames.
+    It is the last word of their name, or follows from their size since 1970; fractions are of
+    seconds. VergenceError if they are impossible, or of no known unit.
     """
-    unit = _unit(values, name, where)
+    unit = _unit(values, name)
+    if unit is None:
+        raise VergenceError(
+            f"{where}: {name} has whole numbers, as numbers of frames are; name the column with "
+            "the unit of times at its end, such as time_s or time_ns."
+        )
     return unit, nanoseconds(values, unit, f"{where}: {name}")
 
 
-def _unit(values: np.ndarray, name: str, where: str) -> str:
+def _unit(values: np.ndarray, name: str) -> str | None:
     if match := _UNIT.search(name.lower()):
         prefix = match[1] or ""
         return {"micro": "us"}.get(prefix, prefix[:1] + "s")
     stamps = values[np.isfinite(values)]
     middle = np.median(stamps) if len(stamps) else 0.0
-    step = np.median(np.abs(np.diff(stamps))) if len(stamps) > 1 else 0.0
-    earliest, latest = SINCE_1970_S
     for unit, factor in UNITS_NS.items():
-        if earliest <= middle * factor * 1e-9 <= latest and step * factor <= 3600e9:
+        if SINCE_1970_S[0] <= middle * factor * 1e-9 <= SINCE_1970_S[1]:
             return unit
-    if (stamps != np.rint(stamps)).any():
-        return "s"
-    if step <= 1:
-        raise VergenceError(
-            f"{where}: {name} has steps of {step:g}, as numbers of frames have; name the "
-            "column with the unit of times at its end, such as time_s or time_ns."
-        )
-    return next((unit for unit, f in UNITS_NS.items() if step * f <= MAX_STEP_S * 1e9), "ns")
+    return "s" if (stamps != np.rint(stamps)).any() else None
