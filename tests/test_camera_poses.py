@@ -146,7 +146,7 @@ def test_transforms_are_read_back_from_a_bag(name: str, tmp_path):
     found = poses_of(head)
     write_poses(found, head, tmp_path / name, "tf")
     with open_recording(tmp_path / name) as recording:
-        scanned = scan(recording)
+        scanned = scan(recording, ["/tf"])
     for each in found:
         poses = scanned.poses["head", each.camera]
         np.testing.assert_array_equal(poses.stamp_ns, each.stamp_ns)

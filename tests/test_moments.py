@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,8 +17,7 @@ from vergence.geometry.kinematics import EYES, Side
 from vergence.geometry.se3 import inverse, pose
 from vergence.recordings.frame_choice import join_at_rest
 from vergence.recordings.moments import Moments, check_moments, find_moments
-from vergence.recordings.readings import interpolate, needed_frames
-from vergence.recordings.recording import Channel, FramePose, Message, Recording
+from vergence.recordings.readings import interpolate
 from vergence.recordings.recording_map import CameraSource, PoseSource, RecordingMap, describe
 from vergence.recordings.scan import Scan, Track
 
@@ -195,11 +193,6 @@ def test_poses_of_eyes_come_from_a_tree_of_frames():
     expected = inverse(T_head_base) @ T_head_mount @ T_mount_eye
     np.testing.assert_allclose(moments.T_base_eye[:, 1], expected, atol=1e-9)
 
-    def read(*_):
-        sent = [(FramePose(*edge, track.values[0]),) for edge, track in tracks.items()]
-        return (Message("/tf", k, k, lambda each=each: each) for k, each in enumerate(sent))
-
-    recording = Recording(Path("bag"), {"/tf": Channel("/tf", "poses", "", 3)}, read)
-    assert needed_frames(recording, sources) == set(tracks)
+    sources = {side: PoseSource(base="base", eye="ear") for side in EYES}
     with pytest.raises(VergenceError, match="does not connect the frames base and ear"):
-        needed_frames(recording, {side: PoseSource(base="base", eye="ear") for side in EYES})
+        moments_of(found, mapped(joints={}, poses=sources))

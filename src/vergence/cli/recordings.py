@@ -69,7 +69,7 @@ def _listed(source: Path, place: Path) -> Report:
     else:
         check_outputs(place, inputs=[source])
     with progress_bars() as progress, open_recording(source) as recording:
-        scanned = scan(recording, frames=(), progress=progress)
+        scanned = scan(recording, progress=progress)
         text = "" if there else first_map(recording, scanned)
         channels = recording.channels
     stamps = {channel: set(track.stamp_ns.tolist()) for channel, track in scanned.images.items()}

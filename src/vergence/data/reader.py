@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import os
-import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -22,7 +20,7 @@ from vergence.data.table import (
     time_stamps,
 )
 from vergence.errors import VergenceError
-from vergence.files import file_inside, parse_json, read_parsed, validated
+from vergence.files import file_inside, read_json
 from vergence.findings import Finding, note
 from vergence.geometry.kinematics import EYES, Kinematics, eye_joint_angles
 
@@ -81,22 +79,7 @@ def load_description(folder: Path) -> Description:
             f"There is no dataset folder {folder}: a dataset is a folder with {DESCRIPTION} and "
             f"{FRAMES}."
         )
-    return read_parsed(
-        folder / DESCRIPTION,
-        "a description of a dataset",
-        _description,
-        parse_json,
-        most_bytes=2**20,  # 64 cameras with intrinsics have 50 kB
-    )
-
-
-def _description(content: Any) -> Description:
-    try:
-        return validated(content, Description)
-    except ValueError as error:  # without the kind of board, which pydantic adds
-        raise ValueError(
-            re.sub(r"^board\.(chessboard|charuco|aprilgrid|circles)", "board", str(error))
-        ) from None
+    return read_json(folder / DESCRIPTION, Description, "a description of a dataset")
 
 
 def _image_files(

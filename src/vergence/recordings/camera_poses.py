@@ -17,8 +17,7 @@ from pyarrow import csv, parquet
 from scipy.spatial.transform import Rotation
 
 from vergence.arrays import Array
-from vergence.data.dataset import Dataset, check_readings_match, readings_at_images, runs
-from vergence.data.dataset import time_offset as offset_of
+from vergence.data.dataset import Dataset, check_readings_match, readings_at_images
 from vergence.data.description import Description
 from vergence.files import whole_file
 from vergence.geometry.camera import check_image_fits, intrinsics_names
@@ -75,8 +74,7 @@ def dataset_poses(
     VergenceError if its cameras or readings are not those of the head.
     """
     _check(head, dataset.description, str(dataset.folder))
-    joints = readings_at_images(dataset, head).copy()
-    joints[_beyond_readings(dataset, offset_of(dataset, head))] = np.nan
+    joints = readings_at_images(dataset, head)
     stamp_ns, found = np.round(dataset.time_s * 1e9).astype(np.int64), []
     for name, files in dataset.files.items():
         rows = np.flatnonzero([file is not None for file in files])
@@ -116,15 +114,6 @@ def _check(head: HeadCalibration, description: Description, where: str) -> None:
         check_image_fits(name, lens, shape, whose=f"those of {where}")
     if description.eye_motion != "poses":
         check_readings_match(description, head, where)
-
-
-def _beyond_readings(dataset: Dataset, offset_s: float) -> np.ndarray:
-    """Find the rows (M,) of bool whose image was taken before or after the readings of a motion."""
-    run, read_s = runs(dataset), dataset.joint_time_s
-    begin, end = np.full((2, run.max() + 1), [[np.inf], [-np.inf]])
-    np.minimum.at(begin, run, read_s)
-    np.maximum.at(end, run, read_s)
-    return (run > 0) & ((read_s + offset_s < begin[run]) | (read_s + offset_s > end[run]))
 
 
 def _poses(

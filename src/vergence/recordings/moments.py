@@ -14,7 +14,7 @@ from vergence.data.description import Description
 from vergence.errors import VergenceError, explain
 from vergence.findings import Finding, note, warning
 from vergence.progress import Progress, silent
-from vergence.recordings.readings import joint_track, needed_frames, postures
+from vergence.recordings.readings import joint_track, postures
 from vergence.recordings.recording import Recording
 from vergence.recordings.recording_map import RecordingMap, describe
 from vergence.recordings.scan import Scan, scan
@@ -100,8 +100,7 @@ def scan_mapped(
     channels = [name for name, _ in needed]
     kinds = ("joints", "poses") if mapped.poses else ("joints",)
     channels += [name for name, each in recording.channels.items() if each.kind in kinds]
-    frames = needed_frames(recording, mapped.poses) if mapped.poses else ()
-    scanned = scan(recording, channels, frames=frames, progress=progress)
+    scanned = scan(recording, channels, progress=progress)
     try:
         return scanned, describe(mapped, scanned.sizes, scanned.lenses)
     except ValueError as error:

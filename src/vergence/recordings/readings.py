@@ -7,23 +7,16 @@ as floats are exact to 0.2 us only.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from itertools import islice
 
 import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.description import Description
 from vergence.errors import VergenceError
-from vergence.geometry.kinematics import EYES, Side
+from vergence.geometry.kinematics import EYES
 from vergence.geometry.se3 import boxminus, boxplus, inverse
-from vergence.recordings.recording import Recording
-from vergence.recordings.recording_map import PoseSource, RecordingMap
+from vergence.recordings.recording_map import RecordingMap
 from vergence.recordings.scan import Scan, Track
-
-MESSAGES = 1000
-"""Messages of a channel by which all its frames are known; robots send each at 10 Hz or more."""
-Edge = tuple[str, str]
-"""Parent and child."""
 
 
 def postures(
@@ -86,56 +79,40 @@ def interpolate(track: Track, at_ns: np.ndarray, *, max_gap_s: float) -> Array:
     return found
 
 
-def needed_frames(recording: Recording, sources: Mapping[Side, PoseSource]) -> set[Edge]:
-    """Find the poses between the frames of sources, as far as the first messages have them.
-
-    VergenceError if the recording does not connect them.
-    """
-    parents: dict[str, str] = {}
-    for channel in (name for name, each in recording.channels.items() if each.kind == "poses"):
-        for message in islice(recording.read([channel], None, None), MESSAGES):
-            content = message.decode()
-            assert isinstance(content, tuple)
-            parents |= {each.child: each.parent for each in content}
-    found = set[Edge]()
-    for source in sources.values():
-        base, eye = _branches(parents, source)
-        top_of_base = base[-1][0] if base else source.base
-        if top_of_base != (eye[-1][0] if eye else source.eye):
-            raise VergenceError(
-                f"{recording.path} does not connect the frames {source.base} and {source.eye}, "
-                f"which the map names; it has {', '.join(sorted({*parents, *parents.values()}))}."
-            )
-        found |= {*base, *eye}
-    return found
-
-
-def _branches(parents: Mapping[str, str], source: PoseSource) -> tuple[list[Edge], list[Edge]]:
-    """List the edges above the base and above the eye, up to where they meet."""
-    chains = []
-    for frame in (source.base, source.eye):
-        edges = list[Edge]()
-        while frame in parents and (parents[frame], frame) not in edges:
-            edges.append((parents[frame], frame))
-            frame = parents[frame]
-        chains.append(edges)
-    base, eye = chains
-    return [each for each in base if each not in eye], [each for each in eye if each not in base]
-
-
 def _eye_poses(scanned: Scan, mapped: RecordingMap, at_ns: np.ndarray) -> Array:
-    """Compute T_base_eye (N, 2, 4, 4); the identity for an eye without a source of its poses."""
+    """Compute T_base_eye (N, 2, 4, 4); the identity for an eye without a source of its poses.
+
+    VergenceError if the recording does not connect the frames.
+    """
     parents = {child: parent for parent, child in scanned.poses}
-    found = np.tile(np.eye(4), (len(at_ns), len(EYES), 1, 1))
+    T_base_eye = np.tile(np.eye(4), (len(at_ns), len(EYES), 1, 1))
     for eye, source in mapped.poses.items():
+        frames = source.base, source.eye
+        of_base, of_eye = (_edges_above(parents, frame) for frame in frames)
+        roots = {
+            edges[-1][0] if edges else frame for edges, frame in zip((of_base, of_eye), frames)
+        }
+        if len(roots) > 1:
+            raise VergenceError(
+                f"The recording does not connect the frames {source.base} and {source.eye}, which "
+                f"the map names; it has {', '.join(sorted({*parents, *parents.values()}))}."
+            )
         T_top_base, T_top_eye = np.eye(4), np.eye(4)
-        base, above_eye = _branches(parents, source)
-        for edge in base:
+        for edge in (each for each in of_base if each not in of_eye):
             T_top_base = _edge_poses(scanned.poses[edge], mapped, at_ns) @ T_top_base
-        for edge in above_eye:
+        for edge in (each for each in of_eye if each not in of_base):
             T_top_eye = _edge_poses(scanned.poses[edge], mapped, at_ns) @ T_top_eye
-        found[:, EYES.index(eye)] = inverse(T_top_base) @ T_top_eye
-    return found
+        T_base_eye[:, EYES.index(eye)] = inverse(T_top_base) @ T_top_eye
+    return T_base_eye
+
+
+def _edges_above(parents: Mapping[str, str], frame: str) -> list[tuple[str, str]]:
+    """List parent and child of each edge from a frame up to the root."""
+    edges = list[tuple[str, str]]()
+    while frame in parents and (parents[frame], frame) not in edges:
+        edges.append((parents[frame], frame))
+        frame = parents[frame]
+    return edges
 
 
 def _edge_poses(track: Track, mapped: RecordingMap, at_ns: np.ndarray) -> Array:

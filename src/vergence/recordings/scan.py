@@ -72,18 +72,16 @@ def scan(
     recording: Recording,
     channels: Collection[str] | None = None,
     *,
-    frames: Collection[tuple[str, str]] | None = None,
     progress: Progress = silent,
 ) -> Scan:
-    """Read channels of a recording in one pass; None: all, those in `errors` without content.
+    """Read channels of a recording in one pass; VergenceError if it is damaged.
 
-    Only poses of `frames`, as parent and child, are kept; None: all. VergenceError if the recording
-    is damaged.
+    None: all but those of poses, which are many; channels in `errors` are without content.
     """
     wanted = {
         name: channel
         for name, channel in recording.channels.items()
-        if channel.kind != "other" and (channels is None or name in channels)
+        if (channel.kind not in ("other", "poses") if channels is None else name in channels)
     }
     total = sum(channel.count for channel in wanted.values())
     images = defaultdict[str, _Values](_Values)
@@ -120,8 +118,7 @@ def scan(
             images[message.channel].append(message, [change])
         else:
             for each in cast(tuple[FramePose, ...], content):
-                if frames is None or (each.parent, each.child) in frames:
-                    poses[each.parent, each.child].append(message, each.T_parent_child.ravel())
+                poses[each.parent, each.child].append(message, each.T_parent_child.ravel())
         if done % 20 == 0 or done == total:
             progress("reading the recording", done, total)
     return Scan(
