@@ -87,12 +87,9 @@ def _eye_poses(scanned: Scan, mapped: RecordingMap, at_ns: np.ndarray) -> Array:
     parents = {child: parent for parent, child in scanned.poses}
     T_base_eye = np.tile(np.eye(4), (len(at_ns), len(EYES), 1, 1))
     for eye, source in mapped.poses.items():
-        frames = source.base, source.eye
-        of_base, of_eye = (_edges_above(parents, frame) for frame in frames)
-        roots = {
-            edges[-1][0] if edges else frame for edges, frame in zip((of_base, of_eye), frames)
-        }
-        if len(roots) > 1:
+        of_base, of_eye = (_edges_above(parents, frame) for frame in (source.base, source.eye))
+        root_of_base = of_base[-1][0] if of_base else source.base
+        if root_of_base != (of_eye[-1][0] if of_eye else source.eye):
             raise VergenceError(
                 f"The recording does not connect the frames {source.base} and {source.eye}, which "
                 f"the map names; it has {', '.join(sorted({*parents, *parents.values()}))}."
