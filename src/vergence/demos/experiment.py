@@ -28,13 +28,13 @@ from vergence.twin.scene import Scene
 from vergence.twin.simulated_robot import (
     FRAME_S,
     calibrate_twin,
-    foveal_errors,
+    foveal_errors_at,
     learn_by_looking,
 )
 from vergence.viewer.gaze import Observed, log_gaze, log_gaze_styles, log_states
 from vergence.viewer.layouts import gaze_blueprint
 from vergence.viewer.live import Feed, Viewer, open_feed
-from vergence.viewer.recording import log_report
+from vergence.viewer.recording import Recording, log_report
 from vergence.viewer.seen import log_seen_styles
 
 if TYPE_CHECKING:
@@ -180,29 +180,33 @@ def _watch(feed: Feed, twin: Twin, settings: GazeSettings, runs: int | None) -> 
             feed.always(log_gaze_styles, settings, T_world_body)
             if state.geometry is not None:
                 feed.always(log_seen_styles, head, state.geometry.state)
-        poses = twin.body_poses()
-        where, errors_px = twin.true_object(), foveal_errors(twin, settings)
+        time_s, index, poses = began_s + frame.time_s, count, twin.body_poses()
+        truth, readings, where = twin.truth, twin.true_readings(), twin.true_object()
         if poses["object"][2, 3] < 0:  # hidden, below the floor
-            where, errors_px = np.full(3, np.nan), np.full(len(settings.eyes), np.nan)
-        eyes = twin.true_readings()
+            where = np.full(3, np.nan)
         lanes = {"gaze": state.phase.value, **lanes}
         changed = {
             lane: lanes.get(lane, "")
             for lane in {*lanes_before, *lanes}
             if lanes_before.get(lane) != lanes.get(lane)
         }
-        observed = Observed(
-            time_s=began_s + frame.time_s,
-            index=count,
-            body_poses=poses,
-            pixels={name: project_point(twin.truth, name, eyes, where) for name in frame.images},
-            position=transform(T_body_lbase, where),
-            errors_px=dict(zip(settings.eyes, errors_px, strict=True)),
-            hand=hand,
-        )
+
+        def log(rec: Recording) -> None:
+            errors_px = foveal_errors_at(truth, settings, readings, where)
+            observed = Observed(
+                time_s=time_s,
+                index=index,
+                body_poses=poses,
+                pixels={name: project_point(truth, name, readings, where) for name in frame.images},
+                position=transform(T_body_lbase, where),
+                errors_px=dict(zip(settings.eyes, errors_px, strict=True)),
+                hand=hand,
+            )
+            log_gaze(rec, settings, state, frame, observed)
+
         if changed:
-            feed.always(log_states, observed.time_s, count, changed)
-        feed(log_gaze, settings, state, frame, observed)
+            feed.always(log_states, time_s, index, changed)
+        feed(log)
         count, lanes_before = count + 1, lanes
 
     return watch

@@ -18,7 +18,7 @@ from vergence.data.dataset import Frame
 from vergence.gaze.commands import HeadCommand, hold, setpoint
 from vergence.gaze.foveation import gaze_angles
 from vergence.gaze.state import GazeSettings
-from vergence.geometry.head import base_pose
+from vergence.geometry.head import HeadCalibration, base_pose
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
 from vergence.progress import Progress, silent
@@ -175,9 +175,21 @@ def foveal_errors(twin: Twin, settings: GazeSettings) -> Array:
 
     Infinite where the object is behind a camera.
     """
-    wanted = best_pixels(settings, twin.true_object()[None])[1][0]
-    offsets = true_pixels(twin, settings) - wanted
-    errors = np.array([np.linalg.norm(offset) for offset in offsets], float)
+    return foveal_errors_at(twin.truth, settings, twin.true_readings(), twin.true_object())
+
+
+def foveal_errors_at(
+    truth: HeadCalibration, settings: GazeSettings, readings: Array, where: Array
+) -> Array:
+    """Compute `foveal_errors` of an object (3,) [m] in the left eye's base at readings (r,).
+
+    NaN for an object that is NaN.
+    """
+    if np.isnan(where).any():
+        return np.full(len(settings.narrow), np.nan)
+    wanted = best_pixels(settings, where[None])[1][0]
+    seen = np.array([project_point(truth, name, readings, where) for name in settings.narrow])
+    errors = np.array([np.linalg.norm(offset) for offset in seen - wanted], float)
     return np.nan_to_num(errors, nan=np.inf)
 
 

@@ -40,6 +40,8 @@ BACKLOG = 10
 START_S, WINDOW_S, END_S = 20.0, 1.0, 3.0
 """Limits [s]: for a viewer to start, for its window to fail, to take the last moments of a run.
 Measured: 0.1 s, 0.1 s, 0.01 s."""
+FLUSH_S = 0.2
+"""Time between transfers to a viewer [s]: rerun's default. Single moments take it more work."""
 _GUARDED = """
 import os, signal, sys, threading
 from rerun_cli.__main__ import main
@@ -233,11 +235,15 @@ def _show(viewer: Viewer, title: str, layout: rrb.Blueprint | None, waiting: Wai
     rec.connect_grpc(viewer.address, default_blueprint=layout)
     rec.set_log_time_enabled(False)
     rec.send_recording_name(title)
+    flushed_s = time.monotonic()
     while call := waiting.get():
         log, args, kwargs = call
         log(rec, *args, **kwargs)
+        if time.monotonic() < flushed_s + FLUSH_S:
+            continue
         try:
-            rec.flush()  # rerun would keep 100 MB for a viewer that lags
+            rec.flush()  # waits for a viewer that lags; rerun would keep 100 MB for it
+            flushed_s = time.monotonic()
         except RuntimeError:
             print("The viewer has gone; the run goes on.", file=sys.stderr)
             return
