@@ -13,9 +13,17 @@ import pytest
 import rerun as rr
 
 from rrd import read_series
+from vergence.data.dataset import Frame
 from vergence.errors import VergenceError
+from vergence.gaze.controller import run_gaze
+from vergence.gaze.state import GazeSettings, GazeState, initial_gaze_state
+from vergence.twin.head import Twin
+from vergence.twin.profile import ErrorProfile
+from vergence.twin.simulated_robot import SimulatedHead
 from vergence.viewer import live
-from vergence.viewer.live import open_feed, open_viewer
+from vergence.viewer.gaze import watch_gaze
+from vergence.viewer.layouts import gaze_blueprint
+from vergence.viewer.live import Viewer, open_feed, open_viewer
 from vergence.viewer.recording import set_time
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
@@ -90,20 +98,69 @@ def test_a_viewer_that_goes_away_or_hangs_delays_nothing(
     with open_viewer(serve=two_free_ports()) as viewer:
         assert viewer is not None
         with open_feed("test", file=file, viewer=viewer) as feed:
-            for index in range(60):
+            for index in range(100):
                 if index == 20 and disturbance is not None:
                     os.killpg(viewer.process.pid, disturbance)
                 began = time.perf_counter()
                 feed(log_moment, index)
                 calls_s.append(time.perf_counter() - began)
                 time.sleep(0.005)
-            feed.always(log_moment, 60)
+            feed.always(log_moment, 100)
             began = time.perf_counter()
         ended_s = time.perf_counter() - began
     assert np.median(calls_s) < 0.003
     assert max(calls_s) < 0.5  # this thread waits for no viewer, though for a busy processor
     assert ended_s < 2
     _, values = read_series(file, "/curve")
-    np.testing.assert_array_equal(values, np.arange(61))
+    np.testing.assert_array_equal(values, np.arange(101))
     said = {None: "", signal.SIGKILL: "The viewer has gone; ", signal.SIGSTOP: "The viewer hangs; "}
     assert said[disturbance] in capsys.readouterr().err
+
+
+def gaze_commands(file: Path, viewer: Viewer | None) -> np.ndarray:
+    """Goals (N, j) of a head that looks at an object, while its viewer is killed in between."""
+    goals: list[np.ndarray] = []
+    with Twin(ErrorProfile(), seed=0) as twin:
+        settings = GazeSettings(calibration=twin.truth)
+        layout = gaze_blueprint("test", twin.truth, reach_m=1.0, speed=1.0, hand=False)
+        with open_feed("test", layout, twin.truth, file=file, viewer=viewer) as feed:
+            show = watch_gaze(feed, settings)
+
+            def watch(state: GazeState, frame: Frame | None) -> None:
+                if viewer is not None and len(goals) == 3:
+                    os.killpg(viewer.process.pid, signal.SIGKILL)
+                show(state, frame)
+                goals.append(state.command.goal)
+
+            head = SimulatedHead(twin, 0, lambda _: np.array([0.6, 0.05, -0.1]))
+            run_gaze(
+                head, settings, initial_gaze_state(settings, np.zeros(7), 0.0), 0.3, watch=watch
+            )
+    return np.array(goals)
+
+
+@pytest.mark.render
+def test_killing_the_viewer_changes_neither_the_commands_nor_the_recording(tmp_path):
+    with open_viewer(serve=two_free_ports()) as viewer:
+        shown = gaze_commands(tmp_path / "shown.rrd", viewer)
+    unseen = gaze_commands(tmp_path / "unseen.rrd", None)
+    np.testing.assert_array_equal(shown, unseen)
+    for curve in ("/eyes/left_pan", "/error/fused"):
+        series = [read_series(tmp_path / name, curve) for name in ("shown.rrd", "unseen.rrd")]
+        np.testing.assert_array_equal(*series)
+        assert len(series[0][0]) == len(shown)
+
+
+def test_a_window_that_cannot_open_is_explained(monkeypatch):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
+        monkeypatch.delenv(name, raising=False)
+    with (
+        pytest.raises(VergenceError, match=r"did not start: .*DISPLAY.*--serve"),
+        open_viewer(live=True),
+    ):
+        pass
+    with pytest.raises(VergenceError, match="choose one"), open_viewer(live=True, serve=9090):
+        pass
+    for port in (-1, 65535, 70000):
+        with pytest.raises(VergenceError, match="from 1 to 65535"), open_viewer(serve=port):
+            pass

@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable
 from contextlib import closing, nullcontext
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -165,11 +166,9 @@ def foveate(
         options: Common options.
     """
     if driver is not None:
-        of_twin = replace(options, geometry="joints", out=None, json=None) != EXPERIMENT
-        if of_twin or trials != 100:
-            raise VergenceError(
-                "With --driver leave out --trials, and the options of the twin and of its viewer."
-            )
+        common = replace(options, geometry="joints", out=None, json=None, live=False, serve=None)
+        if common != EXPERIMENT or trials != 100:
+            raise VergenceError("With --driver leave out --trials, and the options of the twin.")
         return _fixate(driver, calibration, seconds, options)
     if calibration is not None or seconds != 10.0:
         raise VergenceError("The twin calibrates itself, and counts trials; name a --driver.")
@@ -184,14 +183,30 @@ def _fixate(
     """Let the head of a driver fixate an object, and write the summary."""
     from vergence.live.driver import open_driver
     from vergence.live.fixate import fixate
+    from vergence.viewer.gaze import watch_gaze
+    from vergence.viewer.layouts import gaze_blueprint
+    from vergence.viewer.live import open_feed
 
     if calibration is None or not 1 <= seconds <= 3600:
         raise VergenceError("A driver needs --calibration FILE, and --seconds from 1 to 3600.")
     check_outputs(options.json, folder=options.out, names=["foveate.json"], inputs=[calibration])
     head = vg.load_head(calibration)
-    with closing(open_driver(name)) as driver, progress_bars() as progress:
-        found = fixate(driver, head, seconds=seconds, geometry=options.geometry, progress=progress)
-    report = Report("foveate", (as_json(found, digits=4).rstrip(),), found)
+    layout = gaze_blueprint("foveate", head, reach_m=1.5, speed=1.0, hand=False)
+    with (
+        viewing(options) as (viewer, shown),
+        closing(open_driver(name)) as driver,
+        open_feed("foveate", layout, head, viewer=viewer) as feed,
+        progress_bars() as progress,
+    ):
+        found = fixate(
+            driver,
+            head,
+            seconds=seconds,
+            geometry=options.geometry,
+            progress=progress,
+            watched=partial(watch_gaze, feed),
+        )
+    report = Report("foveate", (as_json(found, digits=4).rstrip(),), found, shown=shown)
     report.write_json(options.json)
     report.write_json(options.out and options.out / "foveate.json")
     return report

@@ -172,8 +172,10 @@ def _watch(feed: Feed, twin: Twin, settings: GazeSettings, runs: int | None) -> 
         latest_s = frame.time_s
         if runs is not None and run > runs:
             feed = replace(feed, file=None)
-        if feed.file is None and feed.waiting is None:
+        if not feed.used:
             return
+        # Those of all cameras are enough, and the file stays small.
+        shown = frame if len(frame.images) == len(head.cameras) else replace(frame, images={})
         T_body_lbase = base_pose_in_body(head, "left", frame.neck_angles)
         if not count:
             T_world_body = twin.T_world_lbase() @ inverse(T_body_lbase)
@@ -202,7 +204,7 @@ def _watch(feed: Feed, twin: Twin, settings: GazeSettings, runs: int | None) -> 
                 errors_px=dict(zip(settings.eyes, errors_px, strict=True)),
                 hand=hand,
             )
-            log_gaze(rec, settings, state, frame, observed)
+            log_gaze(rec, settings, state, shown, observed)
 
         if changed:
             feed.always(log_states, time_s, index, changed)

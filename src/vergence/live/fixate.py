@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,6 +27,10 @@ SETTLE_S, LOST_S = 0.25, 0.5
 are unknown, and after which an object is lost, since USB cameras pause [s]."""
 SETTLED_PX = 8.0
 """Distance below which the object is centred [px], as on the twin."""
+
+
+Watch = Callable[[GazeState, Frame | None], None]
+"""A function that gets each state and its frame, such as `viewer.gaze.watch_gaze` makes."""
 
 
 @dataclass(frozen=True)
@@ -66,9 +70,11 @@ def fixate(
     seconds: float,
     geometry: Geometry = "joints",
     progress: Progress = silent,
+    watched: Callable[[GazeSettings], Watch] = lambda settings: lambda state, frame: None,
 ) -> Fixation:
     """Turn the eyes of a driver to the object that the gaze finds, and keep them on it.
 
+    `watched` makes the function that gets each state and its frame, of the settings.
     VergenceError if calibration and driver are of different heads, or the object is never found.
     """
     about, limits = driver.description, driver.limits
@@ -97,11 +103,13 @@ def fixate(
             raise VergenceError(f"The driver gave no frame within {seconds:g} s.")
     began_s, tenths = driver.now_s(), round(10 * seconds)
     seen: list[tuple[float, Mapping[str, Array]]] = []
+    show = watched(settings)
 
     def watch(state: GazeState, frame: Frame | None) -> None:
         progress("tenths of a second", min(round(10 * (driver.now_s() - began_s)), tenths), tenths)
         if frame is not None:
             seen.append((frame.time_s, state.pixels))
+        show(state, frame)
 
     state = initial_gaze_state(settings, frame.eye_angles, began_s)
     steered = _EyesOnly(driver, limits, frame.neck_angles)

@@ -7,7 +7,7 @@ Positions and errors are in frame body, the entity /world/gaze. Curves are below
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,10 +19,11 @@ from vergence.gaze.commands import setpoints_at
 from vergence.gaze.foveation import ideal_wide_pixel
 from vergence.gaze.state import GazeSettings, GazeState
 from vergence.geometry.head import base_pose_in_body, camera_pose_in_base
-from vergence.geometry.kinematics import Side
-from vergence.geometry.se3 import inverse, transform
+from vergence.geometry.kinematics import EYES, Side, eye_pose
+from vergence.geometry.se3 import inverse, pose, transform
 from vergence.viewer import style
 from vergence.viewer.layouts import camera_entities
+from vergence.viewer.live import Feed
 from vergence.viewer.recording import log_frame, set_time
 from vergence.viewer.seen import log_learned, log_matches
 from vergence.viewer.shapes import log_points_style, placed
@@ -55,18 +56,14 @@ def log_gaze(
     frame: Frame,
     observed: Observed,
 ) -> None:
-    """Record a frame, the state of the controller after it, and the truth.
-
-    Images are recorded if the frame has those of all cameras.
-    """
+    """Record a frame, the state of the controller after it, and the truth."""
     head, geometry = settings.calibration, state.geometry
-    pictures = len(frame.images) == len(head.cameras)
     log_frame(
         rec,
         head,
         time_s=observed.time_s,
         index=observed.index,
-        frame=frame if pictures else None,
+        frame=frame,
         body_poses=observed.body_poses,
         detected=state.pixels,
         truth=observed.pixels,
@@ -80,11 +77,12 @@ def log_gaze(
         rec.log(_joint(settings, joint, "command_"), rr.Scalars(command))
     if geometry is not None and geometry.updated_s == frame.time_s:
         log_learned(rec, head, geometry.state)
-    if not pictures:
-        return
-    if geometry is not None and geometry.latest is not None and geometry.time_s == frame.time_s:
-        log_matches(rec, head, geometry.latest)
+    latest = None if geometry is None or geometry.time_s != frame.time_s else geometry.latest
+    if frame.images and latest is not None:
+        log_matches(rec, head, latest)
     for name, pixel in aims(settings, state, frame).items():
+        if name not in frame.images:
+            continue
         height, width = frame.images[name].shape[:2]
         u, v = pixel + 0.5
         strips = [[(0, v), (width, v)], [(u, 0), (u, height)]]
@@ -92,6 +90,33 @@ def log_gaze(
             f"{camera_entities(head)[name]}/aim",
             rr.LineStrips2D(strips, colors=style.AIM, radii=0.6),
         )
+
+
+def watch_gaze(feed: Feed, settings: GazeSettings) -> Callable[[GazeState, Frame | None], None]:
+    """Make the `watch` of `run_gaze` that records and shows a head whose truth is unknown."""
+    head, unknown = settings.calibration, np.full(3, np.nan)
+    T_world_body = pose(t=[0.0, 0.0, style.EYE_HEIGHT_M])
+    feed.always(log_gaze_styles, settings, T_world_body)
+    count, phase = 0, ""
+
+    def watch(state: GazeState, frame: Frame | None) -> None:
+        nonlocal count, phase
+        if frame is None or not feed.used:
+            return
+        eyes = {
+            f"{eye}_eye": T_world_body
+            @ base_pose_in_body(head, eye, frame.neck_angles)
+            @ eye_pose(head.kinematics, eye, frame.eye_angles)
+            for eye in EYES
+        }
+        observed = Observed(frame.time_s, count, eyes, {}, unknown, {}, None)
+        if state.phase.value != phase:
+            phase = state.phase.value
+            feed.always(log_states, frame.time_s, count, {"gaze": phase})
+        feed(log_gaze, settings, state, frame, observed)
+        count += 1
+
+    return watch
 
 
 def log_states(

@@ -173,6 +173,11 @@ class Feed:
     waiting: Waiting | None = None
     """What the viewer's thread has to do."""
 
+    @property
+    def used(self) -> bool:
+        """Whether anything is recorded or shown."""
+        return self.file is not None or self.waiting is not None
+
     def __call__(self, log: Log, *args: Any, **kwargs: Any) -> None:
         """Record a moment by log(recording, ...); a viewer that lags does not get it."""
         lags = self.waiting is not None and self.waiting.qsize() >= BACKLOG
