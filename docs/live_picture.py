@@ -15,11 +15,11 @@ import subprocess
 import sys
 import tempfile
 import time
-from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
+
 from make_pictures import IMAGES, shrink, write_small
 
 RUN = ("-m", "vergence", "track", "--seconds", "8", "--profile", "paper", "--serve")
