@@ -107,7 +107,7 @@ def read_and_import(path: Path) -> float:
         now = time.perf_counter()
         steps.setdefault(task, [now, now])[1] = now
 
-    mapped = RecordingMap(cameras, BOARD, joints)
+    mapped = RecordingMap(cameras=cameras, board=BOARD, joints=joints)
     found = import_recording(path, mapped, path.parent / "set", progress=progress)
     print(
         f"{len(found)} frames, {found.moving.sum()} in motion, {len(set(found.placement))} places"

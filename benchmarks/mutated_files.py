@@ -174,7 +174,7 @@ def small_dataset(folder: Path, head: HeadCalibration) -> None:
         )
         for k in range(4)
     ]
-    write_dataset(folder, Description(cameras, board, joints), rows)
+    write_dataset(folder, Description(cameras=cameras, board=board, joints=joints), rows)
 
 
 def use_dataset(folder: Path) -> None:

@@ -309,12 +309,15 @@ def test_readings_before_a_gear_are_neither_wrapped_nor_limited(folder):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"kinematics.left": None}, "kinematics.left is missing; that eye has a camera"),
+        ({"kinematics.left": None}, "kinematics.left has no joint; that eye has a camera"),
         ({"kinematics.left": []}, "kinematics.left has no joint; that eye has a camera"),
         ({"readings.tilt": None}, "readings.tilt is missing"),
         ({"readings.roll": {"unit": "deg"}}, "readings.roll is in no joint of kinematics"),
         ({"eye_motion": "poses"}, "eye_motion is poses, but kinematics is given"),
-        ({"joints.left_pan": {"column": "p", "unit": "deg"}}, "joints.left_pan too"),
+        (
+            {"joints.left_pan": {"column": "p", "unit": "deg"}},
+            "kinematics is given, but joints has left_pan",
+        ),
         (
             {"kinematics.left": [joint("yaw", {"version": 1})]},
             "left.0.axis: expected pan, tilt, roll or a direction",
@@ -331,7 +334,7 @@ def test_readings_before_a_gear_are_neither_wrapped_nor_limited(folder):
             {"kinematics.left": [joint("pan", {"version": 1}), joint("pan", {"tilt": 1})]},
             "each of its own name",
         ),
-        ({"kinematics": None}, "readings are those of kinematics, which is missing"),
+        ({"kinematics": None}, "joints.left_pan is missing; that eye has a camera"),
         (
             {"kinematics.left": [joint("pan", {"version": 1}, point_m=[50, 0, 0])]},
             "point_m of joint pan is in metres",

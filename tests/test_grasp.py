@@ -35,7 +35,7 @@ from vergence.twin.hand import (
 )  # fmt: skip
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile, load_profile
-from vergence.vision.sphere import find_sphere
+from vergence.vision.sphere import find_sphere, sphere_detector
 
 ROOT = Path(__file__).parents[1]
 NARROW = ("left_narrow", "right_narrow")
@@ -100,8 +100,9 @@ def test_an_open_hand_hides_neither_the_object_nor_the_marker():
             held, free = (find_sphere(images[name], lens) for images in (both, alone))
             np.testing.assert_allclose(held, free, atol=0.05)
             expected = project_point(twin.truth, name, twin.true_angles()[3:], marker)
-            found = find_sphere(both[name], lens, colour="blue")
-            np.testing.assert_allclose(found, expected, atol=0.1)
+            found = sphere_detector("blue")(both[name], lens, None)
+            assert found is not None
+            np.testing.assert_allclose(found.pixel, expected, atol=0.1)
 
 
 @pytest.mark.render

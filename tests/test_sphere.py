@@ -148,7 +148,9 @@ def test_the_largest_region_counts_unless_another_is_near_where_it_is_sought():
     image[100:103, 500:503] = RED
     assert np.abs(find_sphere(image, WIDE) - pixel).max() < 0.02
     image[60:220, 420:580] = picture(WIDE, at(WIDE, (500.0, 140.0), 0.1))[60:220, 420:580]
-    assert np.abs(find_sphere(image, WIDE, near=np.array([190.0, 310.0])) - pixel).max() < 0.02
+    near = sphere_detector()(image, WIDE, np.array([190.0, 310.0]))
+    assert near is not None
+    assert np.abs(near.pixel - pixel).max() < 0.02
     assert np.abs(find_sphere(image, WIDE) - pixel).max() > 100
 
 
@@ -191,5 +193,7 @@ def test_a_blue_sphere_is_found_beside_a_red_one_and_neither_for_the_other():
     blue = picture(WIDE, at(WIDE, (330.7, 280.1), 0.5))[..., ::-1]
     both = np.where(np.abs(blue - GREY).max(axis=-1, keepdims=True) > 0, blue, red)
     for colour, pixel in (("red", (300.2, 200.4)), ("blue", (330.7, 280.1))):
-        np.testing.assert_allclose(find_sphere(both, WIDE, colour=colour), pixel, atol=0.02)
-    assert np.isnan(find_sphere(red, WIDE, colour="blue")).all()
+        found = sphere_detector(colour)(both, WIDE, None)
+        assert found is not None
+        np.testing.assert_allclose(found.pixel, pixel, atol=0.02)
+    assert sphere_detector("blue")(red, WIDE, None) is None

@@ -5,8 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -126,9 +126,9 @@ class Dataset:
             image = cv2.cvtColor(image, cv2.COLOR_GRAY2RGB)
         return to_8_bits(image, stated.bits)
 
-    def frame(self, row: int) -> Frame:
-        """Read a row with all its images; errors as in `image`."""
-        images = {name: self.image(name, row) for name in self.files}
+    def frame(self, row: int, cameras: Sequence[str] | None = None) -> Frame:
+        """Read a row with the images of some cameras, None: all; errors as in `image`."""
+        images = {name: self.image(name, row) for name in cameras or self.files}
         return Frame(
             time_s=float(self.time_s[row]),
             joint_time_s=float(self.joint_time_s[row]),
@@ -178,14 +178,10 @@ class StereoRows:
 
     def frame(self, k: int) -> Frame:
         """Read the k-th row with the images of both cameras; errors as in `Dataset.image`."""
-        row = int(self.rows[k])
-        images = {name: self.dataset.image(name, row) for name in self.cameras}
-        time_s = float(self.dataset.time_s[row])
-        measured = self.joints.ndim > 2
-        angles = self.dataset.eye_angles[row] if measured else self.joints[k]  # NaN if measured
-        neck = self.dataset.neck_angles[row]
-        shown = {name: image for name, image in images.items() if image is not None}
-        return Frame(time_s, time_s, angles, neck, shown)
+        frame = self.dataset.frame(int(self.rows[k]), self.cameras)
+        measured = self.joints.ndim > 2  # then angles are NaN
+        angles = frame.eye_angles if measured else self.joints[k]
+        return replace(frame, joint_time_s=frame.time_s, eye_angles=angles)
 
 
 def stereo_rows(dataset: Dataset, head: HeadCalibration) -> StereoRows:
@@ -206,14 +202,10 @@ def stereo_rows(dataset: Dataset, head: HeadCalibration) -> StereoRows:
         check_image_fits(name, head.camera(name).intrinsics, shape, whose=f"those of {folder}")
     if dataset.T_base_eye is None:
         check_readings_match(dataset.description, head, folder)
-    both = [
-        k
-        for k in range(len(dataset))
-        if all(dataset.files[name][k] is not None for name in cameras)
-    ]
-    if not both:
+    pairs = zip(*(dataset.files[name] for name in cameras), strict=True)
+    rows = np.flatnonzero([None not in pair for pair in pairs])
+    if not len(rows):
         raise VergenceError(f"No row of {folder} has images of both {' and '.join(cameras)}.")
-    rows = np.array(both)
     return StereoRows(dataset, cameras, rows, readings_at_images(dataset, head)[rows])
 
 

@@ -32,11 +32,12 @@ TIME, JOINT_TIME, PLACEMENT, MOVING = "time_s", "joint_time_s", "placement", "mo
 """Columns of frames.csv other than joints, poses and cameras."""
 MAX_SQUARE_M = 1.0
 """Largest side of a square [m]: larger ones are millimetres; boards of unknown size have 1."""
-_STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
+STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
+"""Unknown fields and numbers that are not finite are refused."""
 _Pixels = Annotated[int, Field(gt=0, le=MAX_IMAGE_PX, strict=True)]
 
 
-@dataclass(frozen=True, eq=False, config=_STRICT)
+@dataclass(frozen=True, eq=False, config=STRICT)
 class DatasetCamera:
     """One camera of a dataset."""
 
@@ -56,7 +57,7 @@ class DatasetCamera:
     """Bits that 16-bit images of the camera fill; None: by the range that each image fills."""
 
 
-@dataclass(frozen=True, eq=False, config=_STRICT)
+@dataclass(frozen=True, eq=False, config=STRICT)
 class DatasetReading:
     """Unit and sign of a column of readings that `kinematics` uses."""
 
@@ -65,7 +66,7 @@ class DatasetReading:
     """-1: the encoder counts in the opposite direction (docs/conventions.md)."""
 
 
-@dataclass(frozen=True, eq=False, config=_STRICT)
+@dataclass(frozen=True, eq=False, config=STRICT)
 class DatasetJoint:
     """Column, unit and sign of the readings of a joint."""
 
@@ -89,7 +90,7 @@ def _direction(axis: Any) -> Any:
     )
 
 
-@dataclass(frozen=True, eq=False, config=_STRICT)
+@dataclass(frozen=True, eq=False, config=STRICT)
 class EyeJoint:
     """A joint of an eye as designed: its angle is the sum of factor times reading."""
 
@@ -103,11 +104,10 @@ class EyeJoint:
     """A point on the axis in the eye's base [m]."""
 
 
-@dataclass(frozen=True, eq=False, config=_STRICT)
-class Description:
-    """Content of dataset.json: cameras, board and joints."""
+@dataclass(frozen=True, eq=False, config=STRICT, kw_only=True)
+class BoardAndJoints:
+    """Board and joints, as dataset.json and the map of a recording describe them."""
 
-    cameras: dict[str, DatasetCamera]
     board: Annotated[Board, Field(discriminator="kind")] | None = None
     """None: a recording without a board, for self-calibration and depth."""
     joints: dict[ReadingName, DatasetJoint] = field(default_factory=dict)
@@ -117,10 +117,17 @@ class Description:
     """Joints of each eye that has cameras, from the head outwards; None: pan, then tilt."""
     readings: dict[str, DatasetReading] = field(default_factory=dict)
     """Unit and sign of each column that `kinematics` uses."""
+    note: str = ""
+
+
+@dataclass(frozen=True, eq=False, config=STRICT, kw_only=True)
+class Description(BoardAndJoints):
+    """Content of dataset.json: cameras, board and joints."""
+
+    cameras: dict[str, DatasetCamera]
     eye_motion: Literal["pan-tilt", "poses", "fixed"] = "pan-tilt"
     """Whether frames.csv gives joint readings, or 4x4 poses of the eyes in their bases, or the
     cameras stand still to each other."""
-    note: str = ""
     format: Literal["vergence-dataset-1"] = "vergence-dataset-1"
 
     def __post_init__(self) -> None:
@@ -154,28 +161,22 @@ class Description:
 
     def _contradictory_motion(self) -> Iterator[str]:
         """Check that each eye with a camera has its joints, described in one way."""
-        pan_and_tilt = [name for name in EYE_JOINTS if name in self.joints]
-        if self.eye_motion != "pan-tilt" and (pan_and_tilt or self.kinematics is not None):
-            other = f"joints has {pan_and_tilt[0]}" if pan_and_tilt else "kinematics is given"
-            yield f"eye_motion is {self.eye_motion}, but {other}; give one of the two"
-        elif self.kinematics is not None and pan_and_tilt:
-            yield f"kinematics is given, and joints.{pan_and_tilt[0]} too; give one of the two"
-        if self.kinematics is None:
-            if self.readings:
-                yield "readings are those of kinematics, which is missing"
-            for name in EYE_JOINTS if self.eye_motion == "pan-tilt" else ():
-                if name.partition("_")[0] in self.eyes and name not in self.joints:
-                    yield f"joints.{name} is missing; that eye has a camera"
-            return
+        usual = [f"joints has {name}" for name in EYE_JOINTS if name in self.joints]
+        ways = [f"eye_motion is {self.eye_motion}"] * (self.eye_motion != "pan-tilt")
+        ways += ["kinematics is given"] * (self.kinematics is not None) + usual[:1]
+        if len(ways) > 1:
+            yield f"{ways[0]}, but {ways[1]}; give one of the two"
+        chains = self.kinematics or {}
         for eye in self.eyes:
-            if not self.kinematics.get(eye):
-                problem = "has no joint" if eye in self.kinematics else "is missing"
+            if self.kinematics is not None and not chains.get(eye):
                 yield (
-                    f"kinematics.{eye} {problem}; that eye has a camera, whose place in the eye is "
-                    "found by turning it"
+                    f"kinematics.{eye} has no joint; that eye has a camera, whose place in the eye "
+                    "is found by turning it"
                 )
-        joints = [joint for chain in self.kinematics.values() for joint in chain]
-        used = {column for joint in joints for column in joint.readings}
+            for name in (f"{eye}_pan", f"{eye}_tilt") if ways == usual[:1] else ():
+                if name not in self.joints:
+                    yield f"joints.{name} is missing; that eye has a camera"
+        used = {column for chain in chains.values() for joint in chain for column in joint.readings}
         for name in sorted(used ^ set(self.readings)):
             problem = "is in no joint of kinematics" if name in self.readings else "is missing"
             yield f"readings.{name} {problem}; each column has its unit there once"

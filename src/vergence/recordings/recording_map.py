@@ -9,26 +9,18 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
-from dataclasses import field
+from dataclasses import field, fields
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import ConfigDict, Field
+from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from vergence.data.description import (
-    DatasetCamera,
-    DatasetJoint,
-    DatasetReading,
-    Description,
-    EyeJoint,
-)
+from vergence.data.description import STRICT, BoardAndJoints, DatasetCamera, Description
 from vergence.files import read_parsed, validated
-from vergence.geometry.board import Board
 from vergence.geometry.camera import Camera
 from vergence.geometry.kinematics import Side
 
-_STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
 MAP = "map.toml"
 UNKNOWN = "?"
 """Stands in a first map for what cannot be guessed."""
@@ -43,7 +35,7 @@ Stamps = Literal["header", "received"]
 """Which times count: those in the messages, or those of the recorder."""
 
 
-@dataclass(frozen=True, eq=False, config=_STRICT)
+@dataclass(frozen=True, eq=False, config=STRICT)
 class CameraSource:
     """A camera of the head, and where its images are."""
 
@@ -56,7 +48,7 @@ class CameraSource:
     """As in dataset.json: how well that lens is known; 0: exactly, None: it is not used."""
 
 
-@dataclass(frozen=True, eq=False, config=_STRICT)
+@dataclass(frozen=True, eq=False, config=STRICT)
 class PoseSource:
     """The measured pose of an eye in its base."""
 
@@ -66,7 +58,7 @@ class PoseSource:
     """Frame that turns with the eye."""
 
 
-@dataclass(frozen=True, eq=False, config=_STRICT)
+@dataclass(frozen=True, eq=False, config=STRICT)
 class FrameChoice:
     """Which frames are taken; None: found in the recording."""
 
@@ -78,24 +70,17 @@ class FrameChoice:
     """Spans in which the board stays at one place in frame head, whatever the eyes do."""
 
 
-@dataclass(frozen=True, eq=False, config=_STRICT)
-class RecordingMap:
-    """Content of map.toml."""
+@dataclass(frozen=True, eq=False, config=STRICT, kw_only=True)
+class RecordingMap(BoardAndJoints):
+    """Content of map.toml; the `column` of a joint is its name in the recording."""
 
     cameras: dict[str, CameraSource]
-    board: Annotated[Board, Field(discriminator="kind")] | None = None
-    """None: no board is shown; the recording serves self-calibration and depth."""
-    joints: dict[str, DatasetJoint] = field(default_factory=dict)
-    """As in dataset.json; `column` is the name in the recording."""
-    kinematics: dict[Side, tuple[EyeJoint, ...]] | None = None
-    readings: dict[str, DatasetReading] = field(default_factory=dict)
     poses: dict[Side, PoseSource] = field(default_factory=dict)
     """Measured poses of the eyes, in place of joints."""
     frames: FrameChoice = field(default_factory=FrameChoice)
     stamps: Stamps = "header"
     max_gap_s: Annotated[float, Field(gt=0, le=10)] = MAX_GAP_S
     """Longest time between two readings between which one is interpolated [s]."""
-    note: str = ""
 
 
 def load_map(path: Path) -> RecordingMap:
@@ -131,10 +116,6 @@ def describe(
     }
     return Description(
         cameras=cameras,
-        board=mapped.board,
-        joints=mapped.joints,
-        kinematics=mapped.kinematics,
-        readings=mapped.readings,
         eye_motion="poses" if mapped.poses else "pan-tilt",
-        note=mapped.note,
+        **{each.name: getattr(mapped, each.name) for each in fields(BoardAndJoints)},
     )

@@ -60,18 +60,12 @@ def sphere_detector(colour: Literal["red", "blue"] = "red", *, std_px: float = S
     return detect
 
 
-def find_sphere(
-    image: np.ndarray,
-    camera: Camera,
-    *,
-    colour: Literal["red", "blue"] = "red",
-    near: Array | None = None,
-) -> Array:
-    """Locate the centre (2,) [px] of the largest sphere of a colour; NaN: not seen as a whole.
+def find_sphere(image: np.ndarray, camera: Camera) -> Array:
+    """Locate the centre (2,) [px] of the largest red sphere in an image (H, W, 3) uint8, RGB.
 
-    The image is (H, W, 3) uint8, RGB; the search begins around `near` (2,), unless None or NaN.
+    NaN: not seen as a whole.
     """
-    found = sphere_detector(colour)(image, camera, near)
+    found = sphere_detector()(image, camera, None)
     whole = found is not None and found.std_px <= _WHOLE_STD_PX
     return pixel_or_nan(found if whole else None)
 
