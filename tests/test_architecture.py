@@ -39,6 +39,7 @@ OUTER_LIBRARIES = {
     "lz4": ("recordings.ros",),
     "dynamixel_sdk": ("live.uvc_servos",),
     "scservo_sdk": ("live.uvc_servos",),
+    "reachy_mini": ("live.reachy_mini",),
     "tyro": ("cli",),
     "rich": ("cli",),
 }

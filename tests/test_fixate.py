@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import sys
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,11 +17,16 @@ from drawn_head import DrawnHead, four_cameras, point_at
 from postures import LIMITS, NECK, NECK_JOINTS
 from robot_on_a_bus import RobotOnABus, robot_on_a_bus
 from vergence import cli
+from vergence.data.dataset import Frame
 from vergence.data.description import DatasetCamera, DatasetJoint, Description
+from vergence.demos import simulated_person
+from vergence.demos.simulated_person import Person
 from vergence.errors import VergenceError
 from vergence.gaze.commands import hold
-from vergence.geometry.head import save_head
+from vergence.geometry.head import load_head, save_head
 from vergence.geometry.kinematics import EYE_JOINTS
+from vergence.live import session
+from vergence.live.capture import CaptureState
 from vergence.live.fixate import fixate
 
 
@@ -129,3 +136,36 @@ def test_a_robot_on_a_bus_fixates_by_the_command_line(robot, tmp_path, monkeypat
         vergence(monkeypatch, "foveate", *words)
     assert stop.value.code == 2
     assert "never found" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("two_folds")
+def test_a_robot_on_a_bus_is_captured_calibrated_and_fixates(robot, tmp_path, monkeypatch, capsys):
+    """A person with a quick hand holds the board where the capture asks for it."""
+    monkeypatch.setattr(simulated_person, "MOVE_S", 0.5)
+    person, run_capture = Person(0), session.run_capture
+    robot.T_lbase_board = person.board
+
+    def before_person(*args: Any, look: session.Look, **options: Any) -> CaptureState:
+        def follow(state: CaptureState, frame: Frame) -> None:
+            look(state, frame)
+            if state.sweep is None:
+                view = state.asked[0]
+                person.ask(view.T_lbase_target, view.board_stays, time.monotonic())
+
+        return run_capture(*args, look=follow, **options)
+
+    monkeypatch.setattr(session, "run_capture", before_person)
+    monkeypatch.chdir(tmp_path)
+    driver = "--driver", "robot_on_a_bus:head"
+    vergence(monkeypatch, "capture", *driver, "--out", "recording", "--goal-mm", "15")
+    vergence(monkeypatch, "calibrate", "recording", "--out", "head.json")
+    robot.T_lbase_board, robot.object_lbase = lambda time_s: None, np.array([0.6, -0.15, 0.1])
+    capsys.readouterr()
+    vergence(monkeypatch, "foveate", *driver, "--calibration", "head.json", "--seconds", "2.5")
+    found = json.loads(capsys.readouterr().out)
+    assert max(found["final_px"].values()) < 3
+    head = load_head("head.json")
+    for name in robot.cameras:
+        focal_px = robot.truth.camera(name).intrinsics.matrix[0, 0]
+        assert head.camera(name).intrinsics.matrix[0, 0] == pytest.approx(focal_px, rel=0.002)

@@ -22,9 +22,10 @@ from drawn_head import DrawnHead, four_cameras, point_at
 from texts import texts
 from vergence import cli
 from vergence.data.dataset import Frame
-from vergence.data.description import Description
+from vergence.data.description import DatasetCamera, DatasetJoint, Description
 from vergence.data.reader import load_dataset
 from vergence.geometry.head import save_head
+from vergence.geometry.kinematics import EYE_JOINTS, EYES
 from vergence.geometry.se3 import boxminus
 
 
@@ -41,7 +42,12 @@ def test_the_guide_to_recording_writes_a_dataset(tmp_path, monkeypatch):
     monkeypatch.setattr("builtins.input", lambda _: "")
     postures = [np.array([0.1, -0.2, 0.05, -0.2]), np.array([-0.1, 0.1, -0.2, 0.1])]
     code = next(block.text for block in blocks("docs/dataset.md") if "DatasetRow" in block.text)
-    head = SimpleNamespace(read=read)
+    description = Description(
+        cameras={f"{eye}_wide": DatasetCamera(eye, width=640, height=480) for eye in EYES},
+        board=vergence.Chessboard(columns=9, rows=6, square_m=0.03),
+        joints={name: DatasetJoint(name, unit="rad") for name in EYE_JOINTS},
+    )
+    head = SimpleNamespace(read=read, description=description)
     exec(code, {"head": head, "postures": postures, "move_to": angles.append})
     dataset = load_dataset("my_recording")
     assert dataset.findings == ()

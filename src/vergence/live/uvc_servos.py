@@ -193,8 +193,9 @@ class UvcServoHead:
                 asked_s = self.now_s()
                 try:
                     angles = self._rad * (self._bus.read() - self._zero)
-                    if self.now_s() < asked_s + GAP_S:  # else its time is not known well
-                        self._measured.append((asked_s, angles))
+                    took_s = self.now_s() - asked_s
+                    if took_s < GAP_S:  # else its time is not known well
+                        self._measured.append((asked_s + took_s / 2, angles))
                 except VergenceError:
                     if asked_s - self._measured[-1][0] > FAILED_S:
                         raise
