@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from typing import Any
 from unittest.mock import patch
 
 import cv2
@@ -35,6 +36,8 @@ SERVOS = {
 SETTLE_S = 0.1
 """Simulated time in which the twin's joints reach an angle, to 0.1 mrad [s]."""
 
+STILL_S = 0.05
+"""Period of the pictures while nothing moves [s]."""
 LATE_S = 0.02
 """Time from the exposure of an image to the stamp that the camera gives it [s]."""
 
@@ -53,7 +56,7 @@ class RobotOnABus:
         self.bus: SimulatedBus = DynamixelLine(self.servos)
         self.cameras = tuple(cameras)
         self.error: BaseException | None = None
-        self._pictures: dict[str, np.ndarray] = {}
+        self._pictures: dict[str, Any] = {}
         self._number, self._taken = 0, threading.Condition()
         self._open = True
         self._thread = threading.Thread(target=self._run, args=(profile, seed), daemon=True)
@@ -72,19 +75,24 @@ class RobotOnABus:
     def _run(self, profile: str, seed: int) -> None:
         try:
             with Twin(load_profile(profile), seed=seed, oversampling=1) as twin:
-                self.truth = twin.truth
+                self.truth, images, before = twin.truth, {}, ()
                 while self._open:
                     time_s = time.monotonic()
-                    posture = twin.posture(self.angles(time_s))
-                    twin.advance(twin.time_s + SETTLE_S, posture)
-                    twin.place_board(self.T_lbase_board(time_s))
-                    twin.place_object(self.object_lbase)
-                    images = twin.capture(self.cameras).images
+                    board, angles = self.T_lbase_board(time_s), self.angles(time_s)
+                    now = (
+                        angles.tolist(),
+                        np.array(board).tolist(),
+                        np.array(self.object_lbase).tolist(),
+                    )
+                    if now == before:
+                        time.sleep(STILL_S)  # pictures of what rests are sent again
+                    else:
+                        twin.advance(twin.time_s + SETTLE_S, twin.posture(angles))
+                        twin.place_board(board)
+                        twin.place_object(self.object_lbase)
+                        images, before = dict(twin.capture(self.cameras).images), now
                     with self._taken:
-                        self.stamp_s = time_s + LATE_S
-                        self._pictures = {
-                            n: image for n, image in images.items() if image is not None
-                        }
+                        self.stamp_s, self._pictures = time_s + LATE_S, images
                         self._number += 1
                         self._taken.notify_all()
         except BaseException as error:

@@ -207,7 +207,7 @@ def test_a_camera_that_is_unplugged_or_of_another_size_is_named(bus, head, monke
 
 def test_a_missing_line_or_package_is_one_sentence(bus, monkeypatch):
     monkeypatch.setattr(uvc_servos, "PORT", "/dev/no-such-port")
-    with pytest.raises(VergenceError, match=r"line cannot be opened.*dialout"):
+    with pytest.raises(VergenceError, match=r"line does not open .*dialout"):
         UvcServoHead()
     monkeypatch.setitem(sys.modules, uvc_servos.PROTOCOL[0], None)
     with pytest.raises(VergenceError, match=r"pip install 'vergence\[(dynamixel|feetech)\]'"):

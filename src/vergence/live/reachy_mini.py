@@ -1,7 +1,4 @@
-"""Reachy Mini: one camera on a head that pans, tilts and rolls, through its maker's package.
-
-The readings are the turn of the head, which the package computes from its motors.
-"""
+"""Reachy Mini, through its maker's package: one camera on a head that pans, tilts and rolls."""
 
 from __future__ import annotations
 
@@ -22,16 +19,15 @@ from vergence.gaze.commands import HeadCommand, hold, joint_limits, setpoint
 from vergence.geometry.board import Chessboard
 
 AXES = {"pan": (0.0, 0.0, 1.0), "tilt": (0.0, 1.0, 0.0), "roll": (1.0, 0.0, 0.0)}
-"""Axes of the head's turn, from the body outwards."""
+"""Axes of the head's turn, from the body outwards; the package computes it from the motors."""
 RANGE_RAD = {"pan": (-0.5, 0.5), "tilt": (-0.35, 0.35), "roll": (-0.25, 0.25)}
 """Ranges that the platform reaches together while the body stays [rad]; tried on its model."""
 SPEED_RAD_S = 2.0
 """Maximum speed of the set points [rad/s], for a heavy head: assumed."""
 BOARD = Chessboard(columns=9, rows=6, square_m=0.03)
-PERIOD_S = 0.01
-"""Time between set points [s]; half that of the package's control loop."""
-FAILED_S = 3.0
-"""Time without an image after which the camera has failed [s]."""
+PERIOD_S, FAILED_S = 0.01, 3.0
+"""Time between set points, half that of the package's control loop; and time without an image after
+which the camera has failed [s]."""
 
 
 class ReachyMiniHead:
@@ -43,11 +39,9 @@ class ReachyMiniHead:
             package = import_module("reachy_mini")
             self._robot = package.ReachyMini(automatic_body_yaw=False)
         except Exception as error:  # of the many packages that it needs
-            raise VergenceError(
-                "Reachy Mini does not answer, or its package is missing (pip install "
-                f"reachy_mini): {error}"
-            ) from None
-        height, width = self._image().shape[:2]
+            missing = "Reachy Mini, or its package (pip install reachy_mini), does not answer"
+            raise VergenceError(f"{missing}: {error}") from None
+        height, width, _ = self._image().shape
         joints = [EyeJoint(name, np.array(axis), {name: 1.0}) for name, axis in AXES.items()]
         self.description = Description(
             cameras={"left_camera": DatasetCamera("left", width=width, height=height)},
@@ -77,8 +71,8 @@ class ReachyMiniHead:
     def _follow(self) -> None:
         while not self._stopped.wait(PERIOD_S):
             pose = np.eye(4)  # the head in the middle of its platform
-            angles = setpoint(self._command, self.now_s())
-            pose[:3, :3] = Rotation.from_euler("ZYX", angles).as_matrix()
+            turn = Rotation.from_euler("ZYX", setpoint(self._command, self.now_s()))
+            pose[:3, :3] = turn.as_matrix()
             self._robot.set_target_head_pose(pose)
 
     def now_s(self) -> float:

@@ -16,7 +16,6 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Literal
 
 import cv2
 import numpy as np
@@ -36,8 +35,8 @@ class Servo:
     id: int
     zero: int
     """Position [ticks] with the joint at zero; the camera then looks straight ahead."""
-    sign: Literal[1, -1]
-    """1 if positions grow while a pan joint turns to the left, a tilt joint down."""
+    sign: int
+    """1 if positions grow while a pan joint turns to the left, a tilt joint down; else -1."""
     range_rad: tuple[float, float]
     """Ends of the joint's motion [rad], where nothing touches yet."""
     speed_rad_s: float = 5.0
@@ -95,10 +94,8 @@ class ServoBus:
             if not self._line.setBaudRate(BAUD):
                 raise VergenceError(f"{module} has no baud rate of {BAUD}.")
         except OSError as error:
-            raise VergenceError(
-                f"The servos' line cannot be opened: {error}. Is the adapter plugged in, and is "
-                "this user in its group (Debian: dialout)?"
-            ) from None
+            sentence = f"The servos' line does not open (is this user in group dialout?): {error}"
+            raise VergenceError(sentence) from None
         self.close = self._line.closePort
         self._line.ser.timeout = 0.002  # [s]; the packages would poll without a pause
         self._reader = self._sdk.GroupSyncRead(self._line, self._packets, position, self._size)
@@ -163,8 +160,8 @@ class UvcServoHead:
         self._neck = len(self.description.neck_joints)
         joints = self.description.neck_joints + self.description.head_kinematics.readings
         order = [SERVOS[name] for name in joints]
-        ranges = np.array([servo.range_rad for servo in order])
-        self.limits = JointLimits(ranges, np.array([s.speed_rad_s for s in order]), joints)
+        ranges, speeds = zip(*((s.range_rad, s.speed_rad_s) for s in order), strict=True)
+        self.limits = JointLimits(np.array(ranges), np.array(speeds), joints)
         self._zero = np.array([servo.zero for servo in order])
         self._rad = np.array([servo.sign for servo in order]) * 2 * np.pi / TICKS
         self._images: dict[str, tuple[float, np.ndarray]] = {}
