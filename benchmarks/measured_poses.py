@@ -120,7 +120,7 @@ def arm(seed: int, few: bool = False) -> tuple[bool, str]:
     worst, held_out = float(np.abs(ratio).max()), accuracy.held_out
     px = held_out.prediction_px if held_out else np.nan
     said = f"off by {1e3 * np.linalg.norm(off[3:]):.2f} mm, {worst:.1f} std, held out {px:.2f} px"
-    kept = not codes & {"wrong-view", "boards-at-one-angle"} and not accuracy.void
+    kept = "wrong-view" not in codes and not accuracy.void
     return focal < 0.003 and worst < 4 and kept, said
 
 

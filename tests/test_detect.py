@@ -2,7 +2,6 @@
 
 import json
 import os
-import shutil
 from dataclasses import replace
 
 import cv2
@@ -22,7 +21,6 @@ from recordings import (
     small_dataset,
     write_dataset,
 )
-from texts import texts
 from vergence.calibration import detection
 from vergence.calibration.detection import detect_or_explain, detect_target
 from vergence.data.images import UNREADABLE
@@ -136,19 +134,6 @@ def test_an_unreadable_image_fails_alone_and_is_named_in_a_remark(folder, kept, 
         "image."
     )
     assert np.isfinite(found.corners["right_wide"][2]).all()
-
-
-def test_a_camera_that_stands_still_is_noticed(folder):
-    shutil.copy(folder / "images" / "left_1.png", folder / "images" / "left_2.png")
-    found = detect_target(load_dataset(folder))
-    (said,) = texts(found.findings, "note")
-    assert said.endswith(": the same picture as in line 3.")
-
-
-def test_one_picture_from_two_cameras_is_refused(folder):
-    shutil.copy(folder / "images" / "left_2.png", folder / "images" / "right_2.png")
-    with pytest.raises(VergenceError, match=r"line 4: .*right_2\.png .* same picture as .*left_2"):
-        detect_target(load_dataset(folder))
 
 
 def test_images_in_which_opencv_cannot_look_for_another_board_are_no_failure(tmp_path, monkeypatch):

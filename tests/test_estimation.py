@@ -11,13 +11,13 @@ from simulated_head import rough_start, skewed_head
 from simulated_recording import Noise, two_boards
 from vergence.arrays import Array
 from vergence.calibration.bundle_adjustment import bundle_adjust, covariance_of
-from vergence.calibration.priors import EyeDistance
 from vergence.estimation.adjustment import adjust
 from vergence.estimation.least_squares import least_squares
 from vergence.estimation.linear import eliminate, linearise, posterior
 from vergence.estimation.noise import Level, row_noise_scales
 from vergence.estimation.residual import Residual, Rows
 from vergence.estimation.variables import Block, Latent, Variables
+from vergence.geometry.parameters import named_columns
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -162,6 +162,25 @@ def test_a_filter_s_update_takes_a_singular_prior(std: float):
 
 
 # A new measurement is one residual, and one word where the residuals are listed.
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class EyeDistance(Residual):
+    """The distance between the eyes, measured by hand."""
+
+    distance_m: float
+    std_m: float
+    robust: bool = False
+
+    def error(self, x: Variables) -> Array:
+        distance_m = float(np.linalg.norm(x["head"].T_rbase_lbase[:3, 3]))
+        return np.array([[(distance_m - self.distance_m) / self.std_m]])
+
+    def rows(self, x: Variables) -> Rows:
+        t = x["head"].T_rbase_lbase[:3, 3]
+        shift = named_columns(x["head"], [f"T_rbase_lbase.t{axis}" for axis in "xyz"])
+        by_t = t / np.linalg.norm(t) / self.std_m
+        return Rows(by_t[None, None], x.columns("head")[shift][None])
 
 
 def test_a_measured_distance_between_the_eyes_sharpens_the_scale_of_a_head():

@@ -55,7 +55,7 @@ POOR = [
     (own_placements(), ("in 1 view", "share its number in `placement`")),
     (
         Recording(slant_rad=(0.0, 0.0), reach_rad=(0.16, 0.16)),
-        ("left_wide.fx and fy are uncertain", "sees all boards at one angle"),
+        ("left_wide.fx and fy are known to 0.8 % only", "slant the board"),
     ),
     (Recording(straight=1, orientations=1), (TWICE, "record at least 3, better 10")),
     (blind(), ("right_wide shows the board in 0 images at rest",)),

@@ -176,7 +176,6 @@ def bundle_adjust(
     observations: Observations | PoseObservations,
     *,
     T_cam_target: Mapping[str, Array] | None = None,
-    points: Array | None = None,
     fixed: Collection[str] | None = None,
     noise: NoiseModel = _ESTIMATED,
     priors: Sequence[Residual] = (),
@@ -190,10 +189,9 @@ def bundle_adjust(
             offset is not estimated.
         T_cam_target: by camera (V, 4, 4) poses of the board in each image, where they were solved
             for before from corners.
-        points: (K, 3) corners in frame target [m]; None: those of the board.
         fixed: names of parameters that keep their start; None: fixed_by_default.
         noise: what is known of it.
-        priors: other measurements of the head, such as `priors.EyeDistance`.
+        priors: other measurements of the head, such as `priors.ParametersPrior`.
         intrinsics: by camera, as images alone determine them. They are kept, and all else is as
             uncertain as they make it; None: readings take part in estimating them.
 
@@ -226,7 +224,6 @@ def bundle_adjust(
         start,
         observations,
         fixed=fixed,
-        points=points,
         T_cam_target=T_cam_target,
         least_blocks=_least_blocks(noise, given),
         backlash=given is None,

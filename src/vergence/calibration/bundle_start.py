@@ -62,9 +62,6 @@ votes on a board's place; far beyond the errors of a good start."""
 MEASURING_M = 0.02
 """Standard deviation of an eye's place from which measured poses, good to a fraction of a
 millimetre, determine lengths better than a printed board does."""
-CONTRADICTS, ALIKE_M, ALIKE_PX = 10.0, 1e-3, 1.0
-"""Multiple of the median distance, of boards and of corners, from which a view contradicts others,
-and distances that contradict nothing: those of single images, and of starts that are good."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +76,7 @@ class BundleProblem:
     placements: np.ndarray
     """(P,) the numbers of the boards' placements."""
     contradicting: np.ndarray
-    """(C, V) of bool: images left out, since no turn of the eye puts the board where others do."""
+    """(C, V) of bool: images left out, before which others would place boards behind the camera."""
 
     @property
     def measures_eyes(self) -> bool:
@@ -98,24 +95,22 @@ def bundle_problem(
     observations: Observations | PoseObservations,
     *,
     fixed: Collection[str],
-    points: Array | None = None,
     T_cam_target: Mapping[str, Array] | None = None,
     least_blocks: float = np.inf,
-    left_out: np.ndarray | None = None,
     backlash: bool = False,
 ) -> BundleProblem:
     """Set up the bundle adjustment of a head.
 
     The best board pose of each placement is its start; parameters of cameras that see no board keep
-    theirs. `least_blocks` is that of reading_levels; images (C, V) that contradict others are
-    `left_out`, None: not known yet. Other arguments and errors are those of `bundle_adjust`.
+    theirs. `least_blocks` is that of reading_levels; other arguments and errors are those of
+    `bundle_adjust`.
     """
-    cameras, V, corners = start.cameras, len(observations.placement), np.zeros(0)
+    cameras, V, corners, points = start.cameras, len(observations.placement), np.zeros(0), None
     if isinstance(observations, PoseObservations):
         T = _stacked(observations.T_cam_target, cameras, (V, 4, 4))
         seen = np.repeat(known_poses(T)[..., None], 6, axis=2)
     else:
-        points = corner_points(observations.board) if points is None else points
+        points = corner_points(observations.board)
         corners = _stacked(observations.corners, cameras, (V, len(points), 2))
         seen, solved = seen_corners(corners), T_cam_target or {}
         T = np.stack([
@@ -124,8 +119,6 @@ def bundle_problem(
         ])  # fmt: skip
     if not seen.any():
         raise VergenceError(f"None of {', '.join(cameras)} sees a board.")
-    if left_out is not None:
-        seen = seen & ~left_out[..., None]
     placed = seen.any(axis=2) if points is None else determines_pose(points, seen)
     # A placement without one view that determines the board's pose is of no use.
     numbers = np.unique(observations.placement[placed.any(axis=0)])
@@ -188,19 +181,9 @@ def bundle_problem(
         Latent(postures.as_read, postures.reading.shape[1]),
     )
     x, wrong = _place_boards(measured, x, T[image])
-    contradicting = np.zeros((len(cameras), V), bool) if left_out is None else left_out
-    if wrong.any():
-        contradicting[camera[wrong], view[wrong]] = True
-        return bundle_problem(
-            start,
-            observations,
-            fixed=fixed,
-            points=points,
-            T_cam_target=T_cam_target,
-            least_blocks=least_blocks,
-            left_out=contradicting,
-            backlash=backlash,
-        )
+    measured = replace(measured, seen=measured.seen & ~wrong[:, None])
+    contradicting = np.zeros((len(cameras), V), bool)
+    contradicting[camera[wrong], view[wrong]] = True
     level = reading_levels(detections, start.kinematics, least_blocks)
     readings = readings_of(observations, start.kinematics, postures, level)
     if len(ratios) and backlash:
@@ -292,11 +275,9 @@ def _measures_lengths(T_base_eye: Array | None) -> bool:
 def _place_boards(
     measured: Reprojection | TargetPoses, x: Variables, T_cam_target: Array
 ) -> tuple[Variables, np.ndarray]:
-    """Start each board where its best view puts it, and find (M,) the views that contradict this.
+    """Start each board where its best view puts it.
 
-    A wrong reading turns the eye, which the adjustment finds out. What no turn of the eye explains
-    is a wrong image, as one of another moment, turned, or numbered from the wrong end. Where it is
-    not the smaller part of the views of a placement, all of them are wrong.
+    Also finds (M,) the images that this leaves without errors, as where it is behind the camera.
     """
     detections, head, P = measured.detections, x["head"], len(x["boards"])
     mounts = np.stack([mounted.T_eye_cam for mounted in head.cameras.values()])
@@ -311,7 +292,7 @@ def _place_boards(
             f"A board whose place is to be found needs {LEAST_CORNERS} corners in one image, not "
             "all on one line."
         )
-    best, lowest, chosen = x["boards"], np.full(P, np.inf), np.zeros(P, np.intp)
+    best, lowest = x["boards"], np.full(P, np.inf)
     for k in range(CANDIDATES):
         # Spread over the views, so that one bad stretch cannot be all there is to choose from.
         offer = np.array([offer[k * len(offer) // CANDIDATES] for offer in offers])
@@ -319,30 +300,10 @@ def _place_boards(
         lengths = np.linalg.norm(errors.reshape(len(errors), -1, measured.together), axis=-1)
         votes = np.minimum(np.nan_to_num(lengths, nan=np.inf), FAR).sum(axis=1)
         total = np.bincount(detections.board, votes, P)
-        better = total < lowest
-        best = np.where(better[:, None, None], found[offer], best)
-        chosen, lowest = np.where(better, offer, chosen), np.minimum(lowest, total)
+        best = np.where((total < lowest)[:, None, None], found[offer], best)
+        lowest = np.minimum(lowest, total)
     x = _with_boards(x, best)
-    # How far from the centre of the eye's motion, or of a measured eye, the other pose puts it.
-    T_moved = T_base_lbase @ found @ inverse(T_base_lbase @ best[detections.board])
-    if detections.postures.T_base_eye_read is not None:
-        T_base_eye = detections.eye_poses(x)
-        T_moved = inverse(T_base_eye) @ T_moved @ T_base_eye
-    moved_m = np.linalg.norm(T_moved[:, :3, 3], axis=1)
-    errors = measured.error(x)
-    # The pose by a few corners may put the others behind the camera.
-    wrong = ~np.isfinite(errors).all(axis=1)
-    others = np.setdiff1d(np.flatnonzero(known & ~wrong), chosen)
-    if len(others):
-        far = moved_m > max(CONTRADICTS * np.median(moved_m[others]), ALIKE_M)
-        if isinstance(measured, Reprojection):
-            sizes = np.linalg.norm(errors.reshape(*measured.seen.shape, 2), axis=-1)
-            off_px = np.nanmedian(np.where(measured.seen, sizes, np.nan), axis=1)
-            far &= off_px > max(CONTRADICTS * np.median(off_px[others]), ALIKE_PX)
-        wrong |= far
-    counts = [np.bincount(detections.board, each, P) for each in (wrong, ~wrong)]
-    outvoted = (counts[0] > 0) & (counts[0] >= counts[1])
-    return x, wrong | outvoted[detections.board]
+    return x, ~np.isfinite(measured.error(x)).all(axis=1)
 
 
 def _with_boards(x: Variables, T: Array) -> Variables:

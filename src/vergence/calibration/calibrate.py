@@ -155,5 +155,5 @@ def _about(views: PreparedViews, head: HeadCalibration) -> list[Finding]:
     return [
         *([] if poses else plausibility.implausible_geometry(head)),
         *excitation.stretched_board(*views.at_rest, views.intrinsics, moving=moving),
-        *excitation.doubtful_focal_lengths(views.T_cam_target, head, focal_std),
+        *excitation.doubtful_focal_lengths(head, focal_std),
     ]

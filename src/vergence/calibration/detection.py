@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -51,17 +50,15 @@ class _Detection:
     """(K, 2) [px]; None: the board was not found."""
     reason: str
     """Why it was not found."""
-    digest: bytes = b""
-    """Of the picture, by which repeated ones are recognised."""
 
 
 def detect_target(dataset: Dataset, *, progress: Progress = silent) -> Observations:
     """Find the board in all images of a dataset, in parallel threads.
 
     Raises:
-        VergenceError: images have another size than dataset.json states, two cameras gave the
-            same picture of the board, no image shows the board, or most show another one, all
-            images of a camera are mirrored, or a motion has too few rows; or this is no dataset.
+        VergenceError: images have another size than dataset.json states, no image shows the board,
+            or most show another one, all images of a camera are mirrored, or a motion has too few
+            rows; or this is no dataset.
     """
     if not isinstance(dataset, Dataset):
         raise VergenceError(
@@ -93,7 +90,6 @@ def detect_target(dataset: Dataset, *, progress: Progress = silent) -> Observati
                 _check_board(dataset, found, all_images=False)
     order = {job: k for k, job in enumerate(jobs)}
     found.sort(key=lambda each: order[each.camera, each.row])
-    found = _without_repeats(dataset, found)
     _check_board(dataset, found, all_images=True)
     board, cameras = dataset.board, dataset.description.cameras
     shape = (len(dataset), board.columns * board.rows, 2)
@@ -138,9 +134,8 @@ def _detect(dataset: Dataset, camera: str, row: int) -> _Detection:
     image = dataset.readable_image(camera, row)
     if image is None:
         return _Detection(camera, row, None, DAMAGED)
-    digest = hashlib.blake2b(image.tobytes(), digest_size=16).digest()
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-    return _Detection(camera, row, *detect_or_explain(grey, dataset.board), digest)
+    return _Detection(camera, row, *detect_or_explain(grey, dataset.board))
 
 
 def detect_or_explain(grey: np.ndarray, board: Board) -> tuple[Array | None, str]:
@@ -186,29 +181,6 @@ def _steepness(grey: np.ndarray) -> float:
     # The largest step between the two ends of each height.
     largest = cv2.dilate(steps, np.ones((1, 7), np.uint8))[:, 3:-3]
     return float(np.median(largest[strong] / heights[strong])) if strong.any() else 1.0
-
-
-def _without_repeats(dataset: Dataset, seen: list[_Detection]) -> list[_Detection]:
-    """Return the detections; those in pictures that a camera gave before count as failures.
-
-    Of a picture at rest and in motion the one at rest counts. Pictures without a board may be
-    alike: of a covered lens, all are black.
-    """
-    first: dict[bytes, _Detection] = {}
-    kept = []
-    for each in sorted(seen, key=lambda each: bool(dataset.moving[each.row])):
-        before = each if each.corners is None else first.setdefault(each.digest, each)
-        if before.camera != each.camera:
-            raise VergenceError(
-                f"{dataset.where(each.row)}: {dataset.files[each.camera][each.row]} of "
-                f"{each.camera} is the same picture as "
-                f"{dataset.files[before.camera][before.row]} of {before.camera}."
-            )
-        if before is not each:
-            line = dataset.lines[before.row]
-            each = replace(each, corners=None, reason=f"the same picture as in line {line}")
-        kept.append(each)
-    return kept
 
 
 def _check_board(dataset: Dataset, found: list[_Detection], *, all_images: bool) -> None:

@@ -15,7 +15,7 @@ from vergence.arrays import Array
 from vergence.calibration.intrinsics import Intrinsics, jackknife_covariance, noise_covariance
 from vergence.calibration.lenses import without_poses
 from vergence.calibration.observations import Observations, camera_eyes, most_seen
-from vergence.calibration.undetermined import little_turned, spread
+from vergence.calibration.undetermined import little_turned
 from vergence.errors import VergenceError
 from vergence.findings import Finding, void, warning
 from vergence.geometry.board import corner_points
@@ -23,9 +23,6 @@ from vergence.geometry.head import HeadCalibration
 from vergence.geometry.se3 import known_poses
 from vergence.vision.board_pose import board_errors, determines_pose, seen_corners
 
-ONE_ANGLE_RAD = 0.1
-"""Root mean square spread of the boards' normals, in a camera's axes, below which it sees them at
-one angle."""
 FOCAL_PART = 0.004
 """Relative standard deviation of a focal length from which a warning is given."""
 STRETCH_VIEWS, STRETCH_SIGNIFICANT = 6, 4.0
@@ -54,15 +51,10 @@ def check_excitation(seen: Observations, T_cam_target: Mapping[str, Array]) -> N
 
 
 def doubtful_focal_lengths(
-    T_cam_target: Mapping[str, Array],
     head: HeadCalibration,
     focal_std_px: Mapping[str, tuple[float, float]],
 ) -> list[Finding]:
-    """Warn of focal lengths that the boards do not determine.
-
-    By camera T_cam_target are the board's poses (V, 4, 4), NaN where not known, and focal_std_px
-    the standard deviations of fx and fy.
-    """
+    """Warn of focal lengths that the boards do not determine, by the std of fx and fy by camera."""
     findings = []
     for name, std_px in focal_std_px.items():
         part = float((std_px / np.diag(head.cameras[name].intrinsics.matrix)[:2]).max())
@@ -72,13 +64,6 @@ def doubtful_focal_lengths(
                 f"{SLANT}."
             )
             findings.append(warning("focal-length", sentence, name))
-        T = T_cam_target[name]
-        if spread(T[known_poses(T), :3, 2])[0] < ONE_ANGLE_RAD:
-            sentence = (
-                f"{name}.fx and fy are uncertain, since {name} sees all boards at one angle: "
-                f"{SLANT}."
-            )
-            findings.append(warning("boards-at-one-angle", sentence, name))
     return findings
 
 

@@ -201,27 +201,6 @@ class BoardSize(Residual):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class EyeDistance(Residual):
-    """The distance between the eyes, measured by hand."""
-
-    distance_m: float
-    std_m: float
-    robust: bool = False
-
-    def error(self, x: Variables) -> Array:
-        distance_m = float(np.linalg.norm(x["head"].T_rbase_lbase[:3, 3]))
-        return np.array([[(distance_m - self.distance_m) / self.std_m]])
-
-    def rows(self, x: Variables) -> Rows:
-        head: HeadCalibration = x["head"]
-        t, (name, mounted) = head.T_rbase_lbase[:3, 3], next(iter(head.cameras.items()))
-        lens = len(lens_vector(mounted.intrinsics))
-        between = camera_columns(head, name)[lens + 9 : lens + 12]  # after the mounting, turns
-        by_t = t / np.linalg.norm(t) / self.std_m
-        return Rows(by_t[None, None], x.columns("head")[between][None])
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
 class ParametersPrior(Residual):
     """Parameters of the head that were estimated before, with their covariance."""
 
