@@ -22,10 +22,10 @@ import numpy as np
 
 from make_pictures import IMAGES, shrink, write_small
 
-RUN = ("-m", "vergence", "track", "--seconds", "8", "--profile", "paper", "--serve")
+RUN = ("-m", "vergence", "track", "--seconds", "20", "--profile", "paper", "--serve")
 PORT = 9370
-SHOWN_S = 60.0
-"""Time after which a page that is drawn without a GPU is complete [s]."""
+SHOWN_S = 150.0
+"""Time after which a page without a GPU shows two seconds of the run [s]; measured."""
 BROWSER = (
     "chromium", "--headless=new", "--no-sandbox", "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader", "--disable-background-networking", "--window-size=1600,1000",
@@ -42,7 +42,7 @@ def screenshot(page: str, after_s: float) -> np.ndarray:
         os.dup2(from_browser[1], 4)
 
     with (
-        tempfile.TemporaryDirectory() as profile,
+        tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile,
         subprocess.Popen(
             [*BROWSER, f"--user-data-dir={profile}", page],
             preexec_fn=connect,

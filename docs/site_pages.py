@@ -46,6 +46,7 @@ CONTENTS = {
             "own_head",
             "own_driver",
             "own_detector",
+            "live",
         ),
         *("reproduction", "error_study", "design_and_plan"),
     ),

@@ -186,6 +186,21 @@ def test_the_program_on_the_first_screen_finds_where_points_are(recorded, monkey
     assert capsys.readouterr().out.strip()
 
 
+@pytest.mark.render
+def test_the_program_that_shows_a_loop_shows_images_of_the_left_camera(
+    recorded, monkeypatch, capsys
+):
+    monkeypatch.chdir(recorded)
+    code = first("docs/live.md", "python").replace("serve=9090", "serve=0")
+    names: dict[str, Any] = {}
+    logged: list[tuple[Any, ...]] = []
+    monkeypatch.setattr("vergence.viewer.recording.log_image", lambda *of: logged.append(of))
+    exec(compile(code, "docs/live.md", "exec"), names)
+    assert "Watch at http://127.0.0.1:" in capsys.readouterr().err
+    assert logged
+    assert all(entity == "left" for _, entity, _ in logged)
+
+
 @pytest.mark.usefixtures("two_folds")
 @pytest.mark.render
 def test_each_ten_line_program_runs_by_itself(recorded, monkeypatch, capsys):
