@@ -3,15 +3,16 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
+import cv2
 import numpy as np
 
-from drawn_card import draw_card, sample_slopes
 from guided_capture import HeadWithoutImages, simulated
-from simulated_recording import BOARD, POINTS
+from simulated_recording import BOARD
 from vergence.data.dataset import Frame
 from vergence.geometry.board import Board
+from vergence.geometry.camera import Camera
 from vergence.geometry.head import camera_pose_in_base
-from vergence.geometry.se3 import inverse, pose
+from vergence.geometry.se3 import inverse
 from vergence.live.capture import CaptureSettings
 from vergence.live.stillness import find_board
 
@@ -32,14 +33,17 @@ class DrawnHead(HeadWithoutImages):
     def prepare(self, settings: CaptureSettings) -> None:
         """Prepare the drawing."""
         self.description, self._picture = settings.description, chessboard()
-        self._width_m = BOARD.square_m * self._picture.shape[1] / SQUARE
-        self._slopes = {n: sample_slopes(m.intrinsics) for n, m in self.truth.cameras.items()}
 
     @classmethod
     def drawn(cls, seed: int) -> "tuple[DrawnHead, CaptureSettings]":
         """Make a head and the settings of its capture."""
         bare, settings = simulated(seed, 0.006)
-        head = cls(bare.truth, replace(bare.noise, joint_rad=0.0005), seed)
+        cameras = {
+            name: replace(m, intrinsics=replace(m.intrinsics, distortion=np.zeros(5)))
+            for name, m in bare.truth.cameras.items()
+        }
+        truth = replace(bare.truth, cameras=cameras)
+        head = cls(truth, replace(bare.noise, joint_rad=0.0005), seed)
         head.prepare(settings)
         return head, settings
 
@@ -47,24 +51,29 @@ class DrawnHead(HeadWithoutImages):
         """Draw the images of a frame."""
         frame, images = super().read(cameras), {}
         for name in cameras:
-            mounted = self.truth.camera(name)
-            T = self.T_lbase_board
+            mounted, T = self.truth.camera(name), self.T_lbase_board
             T_base_target = T if mounted.eye == "left" else self.truth.T_rbase_lbase @ T
             T_cam_target = inverse(camera_pose_in_base(self.truth, name, self.joints))
-            T_cam_card = T_cam_target @ T_base_target @ pose(t=POINTS.mean(axis=0))
-            if T_cam_card[2, 3] < 0.1:  # behind the camera
-                images[name] = np.full((*mounted.intrinsics.size[::-1], 3), 128, np.uint8)
-                continue
-            images[name] = draw_card(
-                mounted.intrinsics,
-                self._picture,
-                T_cam_card,
-                self._width_m,
-                noise=self.rng,
-                blur_px=0.6,
-                slopes=self._slopes[name],
-            )
+            images[name] = self._drawn(mounted.intrinsics, T_cam_target @ T_base_target)
         return replace(frame, images=images)
+
+    def _drawn(self, camera: Camera, T_cam_target: np.ndarray) -> np.ndarray:
+        """Draw a board (H, W, 3) as a camera without distortion sees it, with noise of 2 levels."""
+        image = np.full((2 * camera.height, 2 * camera.width), 128, np.uint8)
+        if T_cam_target[2, 3] > 0.1:  # before the camera
+            # Picture elements, of which the first corner is between, to metres to twice the pixels.
+            first = 1.5 * SQUARE - 0.5
+            to_m = np.diag([BOARD.square_m / SQUARE, BOARD.square_m / SQUARE, 1.0])
+            to_m[:2, 2] = -first * BOARD.square_m / SQUARE
+            finer = np.array([[2, 0, 0.5], [0, 2, 0.5], [0, 0, 1.0]])
+            H = finer @ camera.matrix @ T_cam_target[:3, [0, 1, 3]] @ to_m
+            cv2.warpPerspective(
+                self._picture, H, image.shape[::-1], image, cv2.INTER_LINEAR, cv2.BORDER_TRANSPARENT
+            )
+        small = cv2.resize(image, camera.size, interpolation=cv2.INTER_AREA)
+        small = cv2.GaussianBlur(small, (0, 0), 0.6)
+        noisy = small + self.rng.normal(0, 2, small.shape)
+        return np.repeat(np.clip(noisy, 0, 255).astype(np.uint8)[..., None], 3, axis=2)
 
     def by_images(self, frame: Frame, board: Board, width_px: float):
         """Find the board in the drawn images."""
