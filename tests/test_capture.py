@@ -18,6 +18,7 @@ from simulated_recording import BOARD
 from vergence.cli import parsed
 from vergence.data.growing import add_rows, begin_dataset
 from vergence.demos import simulated_person
+from vergence.live import capture
 from vergence.live.capture import CaptureSettings, CaptureState, begin_capture
 from vergence.live.folder import FolderHead
 from vergence.live.kept import Kept, kept_in
@@ -57,6 +58,26 @@ def test_a_person_who_follows_the_guide_reaches_the_accuracy():
     assert len({view.placement for view in swept}) == 1
     assert state.head.time_offset_s == pytest.approx(0.0, abs=0.01)
     assert "mm" in status(settings, state)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["one eye", "fixed"])
+def test_heads_whose_views_cannot_be_planned_are_captured_too(kind, monkeypatch):
+    monkeypatch.setattr(capture, "WITHOUT_PLAN", 18)
+    head, settings = simulated(0, GOAL_M)
+    described, limits = settings.description, settings.limits
+    if kind == "one eye":
+        joints = {n: j for n, j in described.joints.items() if n.startswith("left")}
+        cameras = {"left_wide": described.cameras["left_wide"]}
+        described = replace(described, cameras=cameras, joints=joints)
+        head.truth = replace(head.truth, cameras={"left_wide": head.truth.camera("left_wide")})
+    else:
+        described, limits = replace(described, joints={}, eye_motion="fixed"), None
+        read = head.read
+        head.read = lambda names: replace(read(names), eye_angles=np.empty(0))
+    state = run(head, replace(settings, description=described, limits=limits), until_s=900.0)
+    assert state.finished == "18 views usually suffice where none is planned"
+    assert state.estimate.head is not None
 
 
 def test_a_frame_is_kept_when_board_and_eyes_have_stood_still_and_never_twice():

@@ -56,6 +56,9 @@ MOVED_M, TURNED_RAD = 0.02, 0.05
 a first calibration."""
 NO_GAIN = 0.97
 """Predicted deviation after further views, relative to the present one, from which capture ends."""
+WITHOUT_PLAN = 40
+"""Views after which capture ends where views cannot be planned, as for one eye: twice those that
+docs/calibrate.md asks for of cameras that stand still."""
 SWEEP_S, SWEEP_RAD, SWEEP_PERIODS_S = 3.0, 0.06, (1.5, 2.0, 1.2, 1.7)
 """Duration [s], amplitude [rad] and periods [s] of the motion by which the time offset is found: a
 board stays in the images, and joints differ."""
@@ -322,6 +325,8 @@ def with_estimate(settings: CaptureSettings, state: CaptureState, found: Estimat
             return replace(state, finished="the accuracy is reached")
         if later_m > NO_GAIN * now_m and not found.missing:
             return replace(state, finished="more views would not help")
+    elif found.head is not None and state.views >= WITHOUT_PLAN and not found.missing:
+        return replace(state, finished=f"{state.views} views usually suffice where none is planned")
     if state.views >= settings.most_views:
         return replace(state, finished=f"{state.views} views are as many as were allowed")
     return state
