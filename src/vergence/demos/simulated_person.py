@@ -60,6 +60,9 @@ class Person:
 class TwinBeforePerson(SimulatedHead):
     """The twin as a driver that describes its head, and a person before it."""
 
+    frame_s = 0.1
+    """Ten frames a second suffice to see that a board is at rest, and are rendered as quickly."""
+
     def __init__(self, twin: Twin, seed: int):
         """Restart the twin."""
         super().__init__(twin, 1, lambda _: None)

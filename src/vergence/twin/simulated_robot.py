@@ -108,6 +108,8 @@ class SimulatedHead:
 
     hand: SimulatedHand | None = None
     """A hand that the cameras see, or None."""
+    frame_s = FRAME_S
+    """Period of the frames [s], in whole milliseconds."""
 
     def __init__(
         self,
@@ -143,7 +145,7 @@ class SimulatedHead:
     def read(self, cameras: Sequence[str]) -> Frame | None:
         """Advance to the next frame, and return it with the images of these cameras."""
         self.twin.advance(self._next_s, self._servo)
-        self._next_s = round(self._next_s + FRAME_S, 6)
+        self._next_s = round(self._next_s + self.frame_s, 6)
         where = self.path_head(self.twin.time_s)
         if where is not None:
             T_lbase_start = inverse(self.twin.T_world_lbase()) @ self._T_world_start
