@@ -38,6 +38,7 @@ CONTENTS = {
     "Guides": (
         *(
             "ten_line_programs",
+            "capture",
             "calibrate",
             "recordings",
             "locate",
