@@ -140,10 +140,7 @@ def _detect(dataset: Dataset, camera: str, row: int) -> _Detection:
 
 def detect_or_explain(grey: np.ndarray, board: Board) -> tuple[Array | None, str]:
     """Return the corners (K, 2) [px] in an image (H, W) uint8, or None and the reason."""
-    try:
-        corners = detect_board(grey, board)
-    except cv2.error as error:  # images of a few pixels, for example
-        return None, f"OpenCV cannot look for the board ({error.err})"
+    corners = detect_board(grey, board)
     if corners is None:
         return None, _why_not(grey, board)
     count = int(np.isfinite(corners).all(axis=1).sum())

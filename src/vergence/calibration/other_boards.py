@@ -101,10 +101,8 @@ def mirrored(images: Sequence[np.ndarray], board: Board) -> str | None:
 
 
 def _is_seen(grey: np.ndarray, board: Board) -> bool:
-    with suppress(cv2.error):  # images of a few pixels, for example
-        corners = detect_board(grey, board)
-        return corners is not None and np.isfinite(corners[:, 0]).sum() >= LEAST_CORNERS
-    return False
+    corners = detect_board(grey, board)
+    return corners is not None and np.isfinite(corners[:, 0]).sum() >= LEAST_CORNERS
 
 
 def _largest_grid(grey: np.ndarray) -> np.ndarray | None:

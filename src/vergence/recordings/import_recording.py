@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
+from itertools import repeat
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pyarrow
 from pyarrow import csv
@@ -125,18 +125,12 @@ def _corners(
     found = {name: np.full((len(rows), board.columns * board.rows, 2), np.nan) for name in cameras}
     with ThreadPoolExecutor() as pool:
         for k, images in enumerate(images_of(rows)):
-            corners = pool.map(partial(_detect, board), images.values())
+            greys = map(to_8_bits, images.values())
+            corners = pool.map(detect_board, greys, repeat(board))
             for name, seen in zip(images, corners, strict=True):
                 found[name][k] = np.nan if seen is None else seen
             progress("finding the board", k + 1, len(rows))
     return found
-
-
-def _detect(board: Board, image: np.ndarray) -> Array | None:
-    try:
-        return detect_board(to_8_bits(image), board)
-    except cv2.error:  # images of a few pixels, for example
-        return None
 
 
 def _write_stream(

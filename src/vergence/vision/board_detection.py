@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 
 import cv2
 import numpy as np
@@ -50,13 +51,15 @@ def detect_board(image: np.ndarray, board: Board, *, thorough: bool = True) -> A
     grey = grey_levels(image)
     if np.ptp(grey[::4, ::4]) < _FLAT:
         return None
-    if isinstance(board, Charuco):
-        return _detect_charuco(grey, board)
-    if isinstance(board, AprilGrid):
-        return detect_april_grid(*upsampled(grey), grey, board)
-    if isinstance(board, CircleGrid):
-        return detect_circle_grid(grey, board)
-    return _detect_chessboard(grey, board, thorough=thorough)
+    with suppress(cv2.error):  # in images of a few pixels, for example
+        if isinstance(board, Charuco):
+            return _detect_charuco(grey, board)
+        if isinstance(board, AprilGrid):
+            return detect_april_grid(*upsampled(grey), grey, board)
+        if isinstance(board, CircleGrid):
+            return detect_circle_grid(grey, board)
+        return _detect_chessboard(grey, board, thorough=thorough)
+    return None
 
 
 def for_search(grey: np.ndarray) -> tuple[np.ndarray, float]:
