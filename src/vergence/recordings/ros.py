@@ -60,13 +60,6 @@ recorders write parts of 1 to 4 MB."""
 MAX_METADATA_BYTES = 2**19
 """Largest metadata.yaml [bytes]; one of 500 topics has 400 kB, which the library parses in 3 s."""
 
-_BAYER = {
-    "rggb": cv2.COLOR_BayerBG2RGB,
-    "bggr": cv2.COLOR_BayerRG2RGB,
-    "gbrg": cv2.COLOR_BayerGR2RGB,
-    "grbg": cv2.COLOR_BayerGB2RGB,
-}
-"""ROS names the first pixels of the first row; OpenCV those of the second row from the second."""
 _ENCODINGS: dict[str, tuple[str, int, int | None]] = {
     "mono8": ("u1", 1, None),
     "8UC1": ("u1", 1, None),
@@ -81,8 +74,11 @@ _ENCODINGS: dict[str, tuple[str, int, int | None]] = {
     "uyvy": ("u1", 2, cv2.COLOR_YUV2RGB_UYVY),
     "yuv422_yuy2": ("u1", 2, cv2.COLOR_YUV2RGB_YUY2),
     "yuyv": ("u1", 2, cv2.COLOR_YUV2RGB_YUY2),
-    **{f"bayer_{order}8": ("u1", 1, conversion) for order, conversion in _BAYER.items()},
-    **{f"bayer_{order}16": ("u2", 1, conversion) for order, conversion in _BAYER.items()},
+    **{
+        f"bayer_{order}{8 * size}": (f"u{size}", 1, getattr(cv2, f"COLOR_Bayer{order.upper()}2RGB"))
+        for order in ("rggb", "bggr", "gbrg", "grbg")
+        for size in (1, 2)
+    },
 }
 """Type, channels and conversion by name of the encoding."""
 
