@@ -1,17 +1,14 @@
-"""The first map of a recording: cameras, eyes, joints, units and the board are guessed from it."""
+"""The first map of a recording: cameras, eyes, joints and units are guessed from it."""
 
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-from recordings import CHARUCO, held, picture
 from vergence.errors import VergenceError
 from vergence.files import validated
-from vergence.geometry.board import Charuco, Chessboard
 from vergence.geometry.camera import pinhole
 from vergence.recordings.first_map import first_map
 from vergence.recordings.recording import (
@@ -30,20 +27,16 @@ STEREO = ("/stereo/left/image_raw", "/stereo/right/image_raw")
 PAN_TILT = ("left_pan", "left_tilt", "right_pan", "right_tilt")
 
 
-Recorded = tuple[Recording, Scan]
-
-
 def recorded(
     cameras: tuple[str, ...],
     joints: Mapping[str, float],
     *,
-    pictures: tuple[np.ndarray, ...] = (GREY,),
     channel: str = "/joint_states",
     lenses: tuple[str, ...] = (),
-) -> Recorded:
-    """Return cameras that give pictures in turn, and joints that read from -x to x."""
+) -> Scan:
+    """Return cameras, and joints that read from -x to x."""
     values = np.array([*joints.values()])
-    content: dict[str, tuple[Content, ...]] = {name: pictures for name in cameras}
+    content: dict[str, tuple[Content, ...]] = dict.fromkeys(cameras, (GREY,))
     content[channel] = tuple(JointSample(tuple(joints), sign * values) for sign in (-1, 1))
     kinds: dict[str, Kind] = {name: "images" for name in cameras}
     kinds[channel] = "joints"
@@ -52,20 +45,19 @@ def recorded(
 
     def read(names, start, stop):
         for name in names:
-            for k, each in enumerate(content[name] * 20):
-                if start is None or start <= k < stop:
-                    yield Message(name, k, k, lambda each=each: each)
+            for k, each in enumerate(content[name]):
+                yield Message(name, k, k, lambda each=each: each)
 
     channels = {name: Channel(name, kind, "", len(content[name])) for name, kind in kinds.items()}
-    recording = Recording(Path("robot.mcap"), channels, read)
-    return recording, scan(recording)
+    return scan(Recording(Path("robot.mcap"), channels, read))
 
 
-def guessed(found: Recorded) -> RecordingMap:
-    """Return the first map, with the sides of the board filled in."""
-    text = first_map(*found).replace('square_m = "?"', "square_m = 0.03")
-    content = tomllib.loads(text.replace('marker_m = "?"', "marker_m = 0.02"))
-    mapped = validated(content, RecordingMap)
+def guessed(found: Scan) -> RecordingMap:
+    """Return the first map, with the board filled in."""
+    text = first_map(found)
+    for name, value in (("columns", 7), ("rows", 6), ("square_m", 0.03)):
+        text = text.replace(f'{name} = "?"', f"{name} = {value}")
+    mapped = validated(tomllib.loads(text), RecordingMap)
     describe(mapped, {source.images: (32, 24) for source in mapped.cameras.values()}, {})
     return mapped
 
@@ -102,7 +94,7 @@ def test_joints_of_the_neck_and_degrees_are_recognised():
 
 def test_joints_without_names_are_left_to_the_user():
     numbers = {f"icub/head/state:o/{k}": 20.0 for k in range(6)}
-    text = first_map(*recorded(("left", "right"), numbers, channel="icub/head/state:o"))
+    text = first_map(recorded(("left", "right"), numbers, channel="icub/head/state:o"))
     assert text.count('column = "?", unit = "deg"') == 4
 
 
@@ -122,23 +114,14 @@ def test_two_cameras_of_an_eye_are_told_apart():
     assert set(mapped.cameras) == {"left_narrow", "left_wide", "right_narrow", "right_wide"}
 
 
-@pytest.mark.parametrize("board", [CHARUCO, Chessboard(columns=6, rows=5, square_m=0.03)])
-def test_the_board_is_found_but_not_its_size(board, tmp_path, monkeypatch):
-    monkeypatch.setattr("vergence.recordings.first_map._PROBES", 4)
-    pictures = tuple(picture(board, held(k), (280, 240))[0] for k in range(2))
-    found = recorded(STEREO, dict.fromkeys(PAN_TILT, 0.3), pictures=(GREY, *pictures))
-    (tmp_path / "map.toml").write_text(first_map(*found))
-    with pytest.raises(VergenceError, match=r"(square_m|marker_m): .*found .[?]"):
+def test_what_is_not_filled_in_is_named(tmp_path):
+    (tmp_path / "map.toml").write_text(first_map(recorded(STEREO, dict.fromkeys(PAN_TILT, 0.3))))
+    with pytest.raises(VergenceError, match=r"board\.chessboard\.columns: .*found '[?]'"):
         load_map(tmp_path / "map.toml")
-    shown: Any = guessed(found).board
-    assert (shown.columns, shown.rows) == (board.columns, board.rows)
-    if isinstance(board, Charuco):
-        assert shown.dictionary == board.dictionary
 
 
 def test_hostile_names_stay_inside_their_strings():
     nasty = '"\n[board]\nkind = "chessboard" # \x7f\x00 ☃ \\'
     joints = {f"{name}{nasty}": 0.3 for name in PAN_TILT}
     mapped = guessed(recorded((f"/left/{nasty}", f"/right/{nasty}"), joints))
-    assert mapped.board is None
     assert mapped.cameras["left_wide"].images == f"/left/{nasty}"

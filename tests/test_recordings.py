@@ -25,7 +25,7 @@ from vergence import cli
 from vergence.data.reader import load_dataset
 from vergence.errors import VergenceError
 from vergence.geometry.head import load_head
-from vergence.recordings import first_map, frame_choice
+from vergence.recordings import frame_choice
 from vergence.recordings.import_recording import import_recording
 from vergence.recordings.recording_map import load_map
 from vergence.stereo.extrinsics import relative_camera_pose
@@ -57,22 +57,23 @@ def robot(tmp_path_factory: pytest.TempPathFactory, slow_setup: None) -> tuple[P
 def test_the_page_s_commands_lead_to_points(robot, monkeypatch, capsys):
     folder, session = robot
     monkeypatch.setattr(frame_choice, "MOST_MOVING", 15)  # to save time
-    monkeypatch.setattr(first_map, "_PROBES", 2)
     monkeypatch.chdir(folder)
     steps = [words[1:] for words in commands(PAGE) if words[1] != "record"]
     listing, direct, imported, _, corrected, exported = steps
     run(monkeypatch, *listing)
     printed = capsys.readouterr().out
     assert "| /stereo/left/image_raw" in printed
-    assert "fill in 1 value" in printed
+    assert "fill in 3 values" in printed
     place = folder / "robot" / "map.toml"
     with pytest.raises(SystemExit):
         run(monkeypatch, *direct)
-    assert "square_m: " in capsys.readouterr().err
+    assert "columns: " in capsys.readouterr().err
     written, page = place.read_text(), first(PAGE, "toml")
-    filled = written.replace('"?"', "0.03").replace(
+    filled = written.replace(
         '"r_eye_pan", unit = "deg", sign = 1', '"r_eye_pan", unit = "deg", sign = -1'
     )
+    for name, value in (("columns", 7), ("rows", 6), ("square_m", 0.03)):
+        filled = filled.replace(f'{name} = "?"', f"{name} = {value}")
     assert tomllib.loads(filled) == tomllib.loads(page)
     place.write_text(page)
 
@@ -106,7 +107,6 @@ def test_the_page_s_commands_lead_to_points(robot, monkeypatch, capsys):
     assert len(Path("poses.csv").read_text().splitlines()) > 2 * 100
 
     run(monkeypatch, *listing[:1], "robot/later.mcap", "--map", "robot/later.toml")
-    assert "[board]" not in (folder / "robot" / "later.toml").read_text().split("# [board]")[0]
     board = page[page.index("[board]") : page.index("[joints]")]
     place.write_text(page.replace(board, ""))
     run(monkeypatch, *corrected)

@@ -16,7 +16,7 @@ import numpy as np
 
 from vergence.accuracy.motions import PERIOD_S, eye_readings
 from vergence.arrays import Array
-from vergence.data.dataset import check_readings_match
+from vergence.data.dataset import check_fits
 from vergence.data.reader import load_dataset
 from vergence.errors import VergenceError
 from vergence.geometry.head import (
@@ -283,7 +283,7 @@ def motion_of(name: str, head: HeadCalibration) -> tuple[Array, Array]:
     data = load_dataset(name)
     if data.T_base_eye is not None or len(data.eye_angles) < 2:
         raise VergenceError(f"A motion needs two or more rows of joint readings; {name} has none.")
-    check_readings_match(data.description, head, data.folder)
+    check_fits(data.description, head, data.folder, cameras=())
     rates = np.gradient(data.eye_angles, data.joint_time_s, axis=0)
     step = -(-len(rates) // (4 * SAMPLES))
     return data.eye_angles[::step], np.where(data.moving[:, None], rates, 0.0)[::step]

@@ -75,22 +75,6 @@ def other_board(images: Sequence[np.ndarray], board: Board, *, least: int = 1) -
     return None
 
 
-def find_board(images: Sequence[np.ndarray]) -> tuple[Board, int] | None:
-    """Find the board, with squares of 1 m, that most of the images (H, W) show, and in how many."""
-    first = sorted(images, key=lambda image: _largest_grid(image) is None)
-    best = None
-    for start in range(0, min(len(first), 6), 2):  # markers are sought in two images at a time
-        for board in _candidates([*first[start:], *first[:start]], Chessboard(9, 6, 1.0)):
-            count = sum(_is_seen(image, board) for image in images)
-            if count > (best[1] if best else 0):
-                best = board, count
-            if 2 * count > len(images):
-                break
-        if best:
-            return best
-    return None
-
-
 def mirrored(images: Sequence[np.ndarray], board: Board) -> str | None:
     """Say what to do if images (H, W) are mirrored, which only markers show."""
     flipped = [np.ascontiguousarray(image[:, ::-1]) for image in images]

@@ -70,7 +70,7 @@ def _listed(source: Path, place: Path) -> Report:
         check_outputs(place, inputs=[source])
     with progress_bars() as progress, open_recording(source) as recording:
         scanned = scan(recording, progress=progress)
-        text = "" if there else first_map(recording, scanned)
+        text = "" if there else first_map(scanned)
         channels = recording.channels
     stamps = {channel: set(track.stamp_ns.tolist()) for channel, track in scanned.images.items()}
     for (channel, _), track in scanned.joints.items():  # a message may have some of the joints

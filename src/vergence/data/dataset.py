@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -190,18 +190,13 @@ def stereo_rows(dataset: Dataset, head: HeadCalibration) -> StereoRows:
     While the eyes move, readings are moved to the moments of the images by the calibrated time
     offset or, without one, by the time stamps. VergenceError if head and dataset do not match.
     """
-    cameras = pair_names(head)
-    folder, stated = dataset.folder, dataset.description.cameras
-    for name in cameras:
-        if name not in dataset.files:
-            raise VergenceError(
-                f"The calibration's main cameras are {' and '.join(cameras)}; {folder} has "
-                f"{', '.join(dataset.files)}."
-            )
-        shape = stated[name].height, stated[name].width
-        check_image_fits(name, head.camera(name).intrinsics, shape, whose=f"those of {folder}")
-    if dataset.T_base_eye is None:
-        check_readings_match(dataset.description, head, folder)
+    cameras, folder = pair_names(head), dataset.folder
+    if not {*cameras} <= dataset.files.keys():
+        raise VergenceError(
+            f"The calibration's main cameras are {' and '.join(cameras)}; {folder} has "
+            f"{', '.join(dataset.files)}."
+        )
+    check_fits(dataset.description, head, folder, cameras)
     pairs = zip(*(dataset.files[name] for name in cameras), strict=True)
     rows = np.flatnonzero([None not in pair for pair in pairs])
     if not len(rows):
@@ -209,12 +204,15 @@ def stereo_rows(dataset: Dataset, head: HeadCalibration) -> StereoRows:
     return StereoRows(dataset, cameras, rows, readings_at_images(dataset, head)[rows])
 
 
-def check_readings_match(
-    description: Description, head: HeadCalibration, where: Path | str
+def check_fits(
+    description: Description, head: HeadCalibration, where: Path | str, cameras: Iterable[str]
 ) -> None:
-    """Raise VergenceError if what is described, in a place, has other readings than a head."""
+    """Raise VergenceError if cameras or readings that are described, in a place, are not a head's."""
+    for name in cameras:
+        size = description.cameras[name].height, description.cameras[name].width
+        check_image_fits(name, head.camera(name).intrinsics, size, whose=f"those of {where}")
     read, known = description.head_kinematics.readings, head.kinematics.readings
-    if read != known:
+    if read != known and description.eye_motion != "poses":
         raise VergenceError(
             f"The calibration is for the joint readings {', '.join(known)}; {where} has "
             f"{', '.join(read) or 'none'}."

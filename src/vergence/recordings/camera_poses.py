@@ -17,10 +17,10 @@ from pyarrow import csv, parquet
 from scipy.spatial.transform import Rotation
 
 from vergence.arrays import Array
-from vergence.data.dataset import Dataset, check_readings_match, readings_at_images
+from vergence.data.dataset import Dataset, check_fits, readings_at_images
 from vergence.data.description import Description
 from vergence.files import whole_file
-from vergence.geometry.camera import check_image_fits, intrinsics_names
+from vergence.geometry.camera import intrinsics_names
 from vergence.geometry.eye_motion import camera_motion, eye_poses, measured
 from vergence.geometry.head import (
     HeadCalibration,
@@ -73,7 +73,7 @@ def dataset_poses(
 
     VergenceError if its cameras or readings are not those of the head.
     """
-    _check(head, dataset.description, str(dataset.folder))
+    check_fits(dataset.description, head, dataset.folder, dataset.files)
     joints = readings_at_images(dataset, head)
     stamp_ns, found = np.round(dataset.time_s * 1e9).astype(np.int64), []
     for name, files in dataset.files.items():
@@ -95,7 +95,7 @@ def recording_poses(
 
     VergenceError if its cameras or readings are not those of the head.
     """
-    _check(head, description, "the recording")
+    check_fits(description, head, "the recording", mapped.cameras)
     found = []
     for name, source in mapped.cameras.items():
         stamp_ns = scanned.images[source.images].stamp_ns
@@ -105,15 +105,6 @@ def recording_poses(
         taken = np.full(len(at_ns), source.images), np.arange(len(at_ns)), stamp_ns
         found.append(_poses(head, name, taken, joints, progress))
     return found
-
-
-def _check(head: HeadCalibration, description: Description, where: str) -> None:
-    """Raise VergenceError if cameras or readings of a recording are not those of a head."""
-    for name, camera in description.cameras.items():
-        lens, shape = head.camera(name).intrinsics, (camera.height, camera.width)
-        check_image_fits(name, lens, shape, whose=f"those of {where}")
-    if description.eye_motion != "poses":
-        check_readings_match(description, head, where)
 
 
 def _poses(

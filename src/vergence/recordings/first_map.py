@@ -1,4 +1,4 @@
-"""Write a first map of a recording: guess its cameras, eyes, joints, units and board.
+"""Write a first map of a recording: guess its cameras, eyes, joints and units.
 
 Each line of the map says whether it is sure or a guess, and why.
 """
@@ -9,21 +9,13 @@ import json
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import islice
 
 import numpy as np
 
-from vergence.calibration.other_boards import find_board
-from vergence.data.images import to_8_bits
-from vergence.geometry.board import Charuco
 from vergence.geometry.kinematics import EYES
-from vergence.recordings.recording import Recording
 from vergence.recordings.recording_map import UNKNOWN
 from vergence.recordings.scan import Scan
-from vergence.vision.exposure import grey_levels
 
-_PROBES = 8
-"""Images in which a board is sought; each takes about half a second."""
 _MEANINGS = {
     "left": "left l lft",
     "right": "right r rgt",
@@ -38,21 +30,26 @@ _MEANINGS = {
 }
 """Meanings of words; "no": neither an eye's, nor a picture."""
 _TURNS = "pan", "tilt"
+_BOARD = f"""
+[board]  # or another kind, as in docs/dataset.md; leave it out if no board is shown
+kind = "chessboard"
+columns = "{UNKNOWN}"  # corners inside the board
+rows = "{UNKNOWN}"
+square_m = "{UNKNOWN}"  # the side of a square [m], measured"""
 _WORDS = {word: meaning for meaning, words in _MEANINGS.items() for word in words.split()}
 
 
-def first_map(recording: Recording, scanned: Scan) -> str:
+def first_map(scanned: Scan) -> str:
     """Guess the map of a scanned recording, as the text of a TOML file."""
     cameras = _cameras(scanned)
+    eyes = [eye for eye in EYES if any(eye in name for name in cameras)]
     lines = ['# A first map. Correct the guesses that are wrong, and fill in each "?".']
     for name, (channel, reason) in cameras.items():
         lines += [f"\n[cameras.{name}]", f"images = {_text(channel)}"]
         lines += [f'eye = "{name.partition("_")[0]}"  # {reason}; left as the robot\'s own']
         lenses = [lens for lens in scanned.lenses if _camera_of(lens) == _camera_of(channel)]
         lines += [f"lens = {_text(lens)}  # sure: of the same name" for lens in lenses[:1]]
-    channels = [channel for channel, _ in cameras.values()]
-    lines += _board_lines([*_some_images(recording, scanned, channels)])
-    lines += _joint_lines(scanned, [eye for eye in EYES if any(eye in name for name in cameras)])
+    lines += [_BOARD, *_joint_lines(scanned, eyes)]
     return "\n".join(lines) + "\n"
 
 
@@ -82,38 +79,6 @@ def _camera_of(channel: str) -> str:
     """Strip the last part of a topic, such as image_raw, and how it is compressed."""
     camera, _, last = channel.removesuffix("/compressed").rpartition("/")
     return camera if camera and (last == "camera_info" or not _read_name(last)) else channel
-
-
-def _some_images(
-    recording: Recording, scanned: Scan, channels: Sequence[str]
-) -> Iterator[np.ndarray]:
-    """Read images of all channels, spread over the recording."""
-    for channel in scanned.images.keys() & channels:
-        received_ns = scanned.images[channel].received_ns
-        count = -(-_PROBES // len(channels))
-        for at in received_ns[np.linspace(0, len(received_ns) - 1, count + 2).astype(int)[1:-1]]:
-            for message in islice(recording.read([channel], int(at), int(at) + 1), 1):
-                content = message.decode()
-                assert isinstance(content, np.ndarray)
-                yield grey_levels(to_8_bits(content))
-
-
-def _board_lines(images: Sequence[np.ndarray]) -> Iterator[str]:
-    found = find_board(images)
-    if found is None:
-        yield f"\n# {len(images)} images show no board. To calibrate, describe one, such as:"
-        yield '# [board]\n# kind = "chessboard"\n# columns = 9\n# rows = 6\n# square_m = 0.03'
-        return
-    board, count = found
-    yield f"\n[board]  # {'sure' if count > 1 else 'guess'}: in {count} of {len(images)} images"
-    yield f"kind = {_text(board.kind)}"
-    if isinstance(board, Charuco):
-        yield f"squares_x = {board.squares_x}\nsquares_y = {board.squares_y}"
-        yield f"dictionary = {_text(board.dictionary)}\nlegacy = {str(board.legacy).lower()}"
-        yield f"marker_m = {_text(UNKNOWN)}  # the side of a marker [m], measured"
-    else:
-        yield f"columns = {board.columns}  # corners inside the board\nrows = {board.rows}"
-    yield f"square_m = {_text(UNKNOWN)}  # the side of a square [m], measured; no image shows it"
 
 
 def _joint_lines(scanned: Scan, eyes: Sequence[str]) -> Iterator[str]:
