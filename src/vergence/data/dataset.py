@@ -207,7 +207,7 @@ def stereo_rows(dataset: Dataset, head: HeadCalibration) -> StereoRows:
 def check_fits(
     description: Description, head: HeadCalibration, where: Path | str, cameras: Iterable[str]
 ) -> None:
-    """Raise VergenceError if cameras or readings that are described, in a place, are not a head's."""
+    """Raise VergenceError if described cameras or readings are not those of a head."""
     for name in cameras:
         size = description.cameras[name].height, description.cameras[name].width
         check_image_fits(name, head.camera(name).intrinsics, size, whose=f"those of {where}")

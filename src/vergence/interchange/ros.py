@@ -16,7 +16,7 @@ from pydantic import BaseModel, Field, FiniteFloat, PositiveInt
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
-from vergence.files import UNFINISHED, results_folder
+from vergence.files import results_folder
 from vergence.geometry.camera import Camera
 from vergence.geometry.head import MAX_CAMERAS, HeadCalibration, main_pair
 from vergence.geometry.lens import CameraModel
@@ -110,10 +110,6 @@ def load(path: Path) -> dict[str, Camera]:
 
     VergenceError if a file is missing or not a camera_info, or two have one name.
     """
-    if os.path.exists(path / UNFINISHED):
-        raise VergenceError(
-            f"The export into {path} was stopped before its end; repeat it, or remove {UNFINISHED}."
-        )
     found = files(path)
     if not 1 <= len(found) <= MAX_CAMERAS:
         raise VergenceError(

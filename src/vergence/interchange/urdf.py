@@ -21,6 +21,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
@@ -180,8 +181,9 @@ def _add_joint(
     )
     ElementTree.SubElement(joint, "parent", link=parent)
     ElementTree.SubElement(joint, "child", link=child)
-    xyz, rpy = T_parent_child[:3, 3], _rpy(T_parent_child[:3, :3])
-    ElementTree.SubElement(joint, "origin", xyz=_text(*xyz), rpy=_text(*rpy))
+    turn = Rotation.from_matrix(T_parent_child[:3, :3])
+    rpy = turn.as_euler("xyz", suppress_warnings=True)  # straight up or down any yaw will do
+    ElementTree.SubElement(joint, "origin", xyz=_text(*T_parent_child[:3, 3]), rpy=_text(*rpy))
     link = ElementTree.SubElement(robot, "link", name=child)
     if axis is not None:
         numbers = zip(("lower", "upper", "velocity", "effort"), (*limit, EFFORT), strict=True)
@@ -193,17 +195,6 @@ def _add_joint(
         inertia = {"ixx": moment, "iyy": moment, "izz": moment, "ixy": "0", "ixz": "0", "iyz": "0"}
         ElementTree.SubElement(inertial, "inertia", inertia)
     return joint
-
-
-def _rpy(R: Array) -> tuple[float, float, float]:
-    """Compute roll, pitch, yaw [rad] of URDF: R = Rz(yaw) Ry(pitch) Rx(roll).
-
-    Roll and pitch are of what the yaw leaves, so that they agree with it where R points straight up
-    or down, and any yaw will do.
-    """
-    yaw = np.arctan2(R[1, 0], R[0, 0])
-    ahead, left = np.cos(yaw) * R[0] + np.sin(yaw) * R[1], np.cos(yaw) * R[1] - np.sin(yaw) * R[0]
-    return np.arctan2(-left[2], left[1]), np.arctan2(-R[2, 0], ahead[0]), yaw
 
 
 def _text(*values: float) -> str:
