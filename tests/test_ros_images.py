@@ -171,7 +171,7 @@ def test_coefficients_of_zero_may_be_missing_or_too_many():
         ({"k": np.zeros(9)}, "focal lengths are positive"),
         ({"distortion_model": "thin_prism"}, "model is 'thin_prism'; known are plumb_bob"),
         ({"width": 0}, "greater than 0"),
-        ({"d": np.arange(14.0)}, "distortion has 5 coefficients, found 14"),
+        ({"d": np.arange(14.0)}, "8 distortion coefficients, .*; found 14"),
         ({"k": np.full(9, np.nan)}, "expected finite numbers"),
     ],
 )

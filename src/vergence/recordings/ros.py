@@ -30,9 +30,9 @@ from vergence.data.images import decode_image
 from vergence.errors import VergenceError, explain
 from vergence.files import file_inside, read_bytes
 from vergence.geometry.camera import Camera
-from vergence.geometry.lens import COEFFICIENTS
 from vergence.geometry.se3 import pose
 from vergence.interchange.ros import LENS_MODELS
+from vergence.interchange.serialization import camera_of
 from vergence.recordings.recording import (
     Channel,
     Content,
@@ -253,13 +253,5 @@ def camera_lens(message: Any) -> Camera:
         name = "plumb_bob"
     if name not in LENS_MODELS:
         raise ValueError(f"its lens model is {name!r:.40}; known are {', '.join(LENS_MODELS)}")
-    needed = len(COEFFICIENTS[LENS_MODELS[name]])
-    if not distortion[needed:].any():  # zeros may be missing, or too many
-        distortion = np.pad(distortion, (0, needed))[:needed]
-    return Camera(
-        width=message.width,
-        height=message.height,
-        matrix=matrix.reshape(3, 3),
-        distortion=distortion,
-        model=LENS_MODELS[name],
-    )
+    size = message.width, message.height
+    return camera_of(size, matrix.reshape(3, 3), LENS_MODELS[name], distortion)
