@@ -21,18 +21,16 @@ from vergence.errors import VergenceError
 from vergence.geometry.board import Chessboard
 from vergence.geometry.camera import normalise
 from vergence.geometry.eye_motion import eye_poses
-from vergence.geometry.head import HeadCalibration, save_head
+from vergence.geometry.head import save_head
 from vergence.geometry.head_accuracy import Accuracy
-from vergence.geometry.kinematics import EYE_JOINTS, EYES, Kinematics
+from vergence.geometry.kinematics import EYE_JOINTS, EYES
 from vergence.geometry.parameters import change_named
 from vergence.geometry.se3 import inverse, pose, transform
-from vergence.paper.figures import Lens
 from vergence.stereo.dense_depth import LEAST_STD_PX, dense_depth, point_cloud
 from vergence.stereo.rectification import RectifiedPair, rectify
 from vergence.twin import simulated_robot
-from vergence.twin.calibration_errors import inject_calibration_error
 from vergence.twin.head_model import nominal_head
-from vergence.twin.model import as_built_head, check_calibration_of
+from vergence.twin.model import as_built_head
 from vergence.twin.profile import load_profile
 from without_mujoco import without_mujoco
 
@@ -286,39 +284,6 @@ def test_depth_by_what_both_eyes_see_is_better_than_by_wrong_joints(tmp_path, mo
         assert found["seen"][figure] < found["joints"][figure] / 3
     assert found["seen"]["within_two_std"] > 0.85
     assert "seen by both eyes" in (out / "report.md").read_text()
-
-
-def test_a_calibration_of_another_head_is_not_the_twins():
-    def built(profile: str, lens: Lens = "2.8mm") -> HeadCalibration:
-        return as_built_head(nominal_head(lens), load_profile(profile), 0)
-
-    twin = built("paper")
-    by_hand = load_profile("paper").by_hand.model_copy(update={"focal_percent_28": 5.0})
-    check_calibration_of(twin, inject_calibration_error(twin, by_hand))
-    check_calibration_of(built("noise-only"), nominal_head("2.8mm"))
-    renamed = {name.replace("wide", "outer"): camera for name, camera in twin.cameras.items()}
-    for other, said in (
-        (built("noise-only"), r"are \[ *9\d\.\d* .*, not \[ *7\d\.\d* "),
-        (built("paper", "4.0mm"), r"focal lengths \[px\] .* 4\d\d\.\d*.*, not .* 2\d\d\.\d*"),
-        (replace(twin, cameras=renamed), "it has left_outer, "),
-        (replace(twin, kinematics=Kinematics(readings=EYE_JOINTS[::-1])), "moved by right_tilt"),
-    ):
-        with pytest.raises(VergenceError, match=f"{said}.* the --head, --profile and --seed"):
-            check_calibration_of(twin, other)
-
-
-@pytest.mark.render
-def test_depth_of_the_twin_by_a_calibration_of_another_head_is_refused(
-    tmp_path, monkeypatch, capsys
-):
-    save_head(nominal_head("2.8mm"), tmp_path / "head.json")
-    with pytest.raises(SystemExit):
-        depth(
-            monkeypatch, "--twin", "--calibration", str(tmp_path / "head.json"),
-            "--out", str(tmp_path / "depth"),
-        )  # fmt: skip
-    assert "baseline [mm] and focal lengths [px] are [ 92." in capsys.readouterr().err
-    assert not (tmp_path / "depth").exists()
 
 
 @pytest.mark.parametrize(

@@ -195,13 +195,8 @@ WRONG: list[tuple[str, Change, str]] = [
     (VERGENCE, exchange(0, 1), "version and vergence are exchanged"),
     (ROLL, exchange(1, 5), "left_tilt and right_roll are exchanged"),
     ("apart", columns(np.eye(4)[[2, 3, 0, 1]]), "in the columns of the joint readings"),
-    (PLAIN, scale(1, 0.0), "left_tilt, which changes by 0 rad, has no part"),
-    (
-        VERGENCE,
-        columns(np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])),
-        r": vergence, which changes by [\d.]+ rad, has no part in them: [^,]*\. They",
-    ),
-    (ROLL, copied(0, 3), "right_pan, which .* has no part"),
+    (PLAIN, scale(1, 0.0), "readings of the left eye .* a sensor may stand still"),
+    (ROLL, copied(0, 3), "readings of the right eye .* a sensor may stand still"),
     # Images.
     (PLAIN, other_eyes_images, "exchanged in the images"),
     (VERGENCE, other_eyes_images, "exchanged in the images"),

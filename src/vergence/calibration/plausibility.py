@@ -377,29 +377,6 @@ def _other_poses(evidence: Evidence, _: list[TurnFit]) -> Variants:
         yield what, replace(evidence, T_base_eye=poses)
 
 
-def _lost_readings(evidence: Evidence, _: list[TurnFit]) -> Variants:
-    """One reading has no part in the turns: the images give what it should have been."""
-    for views in evidence.eyes:
-        used = evidence.kinematics.used(EYES[views.e])
-        chain = evidence.kinematics.chains[EYES[views.e]]
-        read = evidence.readings[views.rows]
-        known = np.isfinite(read[:, used]).all(axis=1)
-        read, turned = read[known], turns(views.T_cam_target[known, :3, :3])
-        for r in used:
-            others = np.column_stack([read[:, [u for u in used if u != r]], np.ones(len(read))])
-            remaining = turned - others @ np.linalg.lstsq(others, turned)[0]
-            U, s = np.linalg.svd(remaining, full_matrices=False)[:2]
-            instead = U[:, 0] * s[0] / np.linalg.norm(chain.mixing[:, r] @ chain.axes)
-            what = (
-                f"{evidence.kinematics.readings[r]}, which changes by {np.std(read[:, r]):.2g} "
-                "rad, has no part in them: check its column and its sensor"
-            )
-            for sign in (1, -1):
-                readings = evidence.readings.copy()
-                readings[views.rows[known], r] = sign * instead
-                yield what, replace(evidence, readings=readings)
-
-
 Mistake = Callable[[Evidence, list[TurnFit]], Variants]
 MISTAKES: Mapping[str, tuple[Mistake, ...]] = {
     "readings": (
@@ -413,8 +390,6 @@ MISTAKES: Mapping[str, tuple[Mistake, ...]] = {
     "poses": (_exchanged_eyes, _lengths, _other_rows, _other_poses),
 }
 """By what was read: the mistakes that can be undone."""
-LAST_RESORT: Mapping[str, tuple[Mistake, ...]] = {"readings": (_lost_readings,), "poses": ()}
-"""Explanations that are tried last, since they give up part of the data."""
 
 
 def _explain(evidence: Evidence) -> tuple[list[str], Evidence]:
@@ -425,7 +400,7 @@ def _explain(evidence: Evidence) -> tuple[list[str], Evidence]:
     said: list[str] = []
     kind = "readings" if evidence.T_base_eye is None else "poses"
     for _ in range(3):
-        found = _best(evidence, MISTAKES[kind]) or _best(evidence, LAST_RESORT[kind])
+        found = _best(evidence, MISTAKES[kind])
         if found is None:
             break
         said.append(found[0])
@@ -493,9 +468,9 @@ def check_readings_and_images(
             k = max(wrong, key=lambda k: fits[k].misfit_rad)
             raise VergenceError(
                 f"{_symptoms(evidence, fits, NOISY * fits[k].misfit_rad)}. No usual mistake "
-                "explains it: they may be of other moments or another eye, the board may have "
-                "moved, or the eye may have a joint that is not described; check the axes of its "
-                "joints. The largest differences: "
+                "explains it: they may be of other moments or another eye, a sensor may stand "
+                "still, the board may have moved, or the eye may have a joint that is not "
+                "described; check the axes of its joints. The largest differences: "
                 f"{_worst(observations, evidence.eyes[k], fits[k])}."
             )
     return _eyes_alike(evidence, fits)

@@ -31,7 +31,6 @@ from vergence.stereo.dense_depth import DenseDepth
 from vergence.stereo.extrinsics import relative_camera_pose, stereo_cameras
 from vergence.stereo.rectification import RectifiedPair, rectified_pixels, rectified_points
 from vergence.twin.head import Twin
-from vergence.twin.model import check_calibration_of
 from vergence.twin.simulated_robot import calibrate_twin, divergent_motion, learn_by_looking
 
 PairErrors = tuple[Array, Array, float]
@@ -126,15 +125,13 @@ def twin_depth(
     """Compute dense depth over the divergent motion of a twin, in a `with` block.
 
     Without a calibration the twin is calibrated first, by the paper's method. With the geometry
-    "seen" it looks around first. VergenceError if the calibration is of another head.
+    "seen" it looks around first.
     """
     with experiment.twin() as twin:
         reading_std = None
         if calibration is None:
             settings = calibrate_twin(twin, experiment.seed, progress)
             calibration, reading_std = settings.calibration, settings.reading_std
-        else:
-            check_calibration_of(twin.truth, calibration)
         errors: dict[str, list[PairErrors]] = defaultdict(list)
         found = _pairs(twin, calibration, pairs, experiment.geometry, reading_std, errors)
         yield DepthSequence(

@@ -11,8 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from vergence.arrays import Array
-from vergence.errors import VergenceError
-from vergence.geometry.head import HeadCalibration, MountedCamera, base_pose, pair_names
+from vergence.geometry.head import HeadCalibration, MountedCamera, base_pose
 from vergence.geometry.joints import Joint
 from vergence.geometry.kinematics import EYES, Side
 from vergence.geometry.se3 import inverse, pose, rotation
@@ -265,33 +264,6 @@ def _mount_cameras(
         camera.focal_pixel = intrinsics.matrix[[0, 1], [0, 1]]
         camera.focal_length = [0, 0]
         camera.principal_pixel = centre - intrinsics.matrix[:2, 2]
-
-
-def check_calibration_of(truth: HeadCalibration, calibration: HeadCalibration) -> None:
-    """Raise VergenceError if a calibration cannot be that of the twin, given as built."""
-    names, kinematics = pair_names(truth), calibration.kinematics
-    if (
-        not set(names) <= set(calibration.cameras)
-        or kinematics.readings != truth.kinematics.readings
-    ):
-        found = (
-            f"it has {', '.join(calibration.cameras)}, moved by {', '.join(kinematics.readings)}"
-        )
-    else:
-        ours, twins = (
-            np.array(
-                [1e3 * np.linalg.norm(head.T_rbase_lbase[:3, 3])]
-                + [head.cameras[name].intrinsics.matrix[0, 0] for name in names]
-            )
-            for head in (calibration, truth)
-        )
-        if (np.abs(ours / twins - 1) <= 0.1).all():  # calibrations err by a few percent
-            return
-        found = f"baseline [mm] and focal lengths [px] are {ours.round(1)}, not {twins.round(1)}"
-    raise VergenceError(
-        f"This calibration is of another head than the twin: {found}. Give the --head, "
-        "--profile and --seed with which its dataset was recorded, with the head's first lens."
-    )
 
 
 def body_in_room(model: mujoco.MjModel, name: str) -> str:
