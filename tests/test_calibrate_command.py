@@ -191,7 +191,7 @@ def test_an_import_names_the_cameras_that_the_file_leaves_as_they_were(
 
 
 @pytest.mark.parametrize(
-    ("keep", "named"), [(0, "frames.csv"), (2, "shows the board in [02] images at rest")]
+    ("keep", "named"), [(0, "frames.csv"), (2, "need at least 3 views of the board, found [02]")]
 )
 def test_too_little_data_ends_in_a_sentence(keep, named, recorded, tmp_path, monkeypatch, capsys):
     folder = shutil.copytree(recorded, tmp_path / "dataset")

@@ -45,7 +45,7 @@ def blind() -> Observations:
 
 
 NOT_OBSERVABLE = "left_wide.T_eye_cam is not observable"
-TWICE = "left_wide shows the board in 2 images at rest: fx, fy and T_eye"
+TWICE = "left_wide: Intrinsics need at least 3 views of the board, found 2"
 POOR = [
     (Recording(reach_rad=(0.25, 0), noise=NOISE), (NOT_OBSERVABLE, "by 0.00", "0.1 rad")),
     (Recording(reach_rad=(0, 0.25), noise=NOISE), (NOT_OBSERVABLE, "by 0.00", "0.1 rad")),
@@ -57,8 +57,8 @@ POOR = [
         Recording(slant_rad=(0.0, 0.0), reach_rad=(0.16, 0.16)),
         ("left_wide.fx and fy are known to 0.8 % only", "slant the board"),
     ),
-    (Recording(straight=1, orientations=1), (TWICE, "record at least 3, better 10")),
-    (blind(), ("right_wide shows the board in 0 images at rest",)),
+    (Recording(straight=1, orientations=1), (TWICE, "at different angles")),
+    (blind(), ("right_wide: Intrinsics need at least 3 views of the board, found 0",)),
 ]
 
 

@@ -250,15 +250,6 @@ def missing_reading(eye: Side | None, where: str) -> VergenceError:
     )
 
 
-def check_readings(observations: Observations) -> None:
-    """Raise a VergenceError if an eye sees a board in a view without a reading or a pose of it."""
-    for name, eye in camera_eyes(observations).items():
-        sees = np.isfinite(observations.corners[name]).any(axis=(1, 2))
-        lost = np.flatnonzero(sees & ~readable(observations, eye))
-        if len(lost):
-            raise missing_reading(eye, observations.name_of_view(lost[0]))
-
-
 def readable(observations: Observations, eye: Side) -> np.ndarray:
     """Return (V,) of bool: in which views all joint readings, or the pose, of an eye are known."""
     if observations.T_base_eye is not None:

@@ -25,7 +25,7 @@ from vergence.calibration.board_numbering import (
 )
 from vergence.calibration.observations import Observations, camera_eyes, most_seen, readable
 from vergence.errors import VergenceError, listed
-from vergence.findings import Finding, note, void, warning
+from vergence.findings import Finding, void, warning
 from vergence.geometry.eye_motion import eye_poses
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.joints import Joint
@@ -443,11 +443,11 @@ def _score(fits: list[TurnFit]) -> float:
 
 def check_readings_and_images(
     observations: Observations, T_cam_target: Mapping[str, Array]
-) -> list[Finding]:
+) -> None:
     """Refuse readings or measured poses that the images contradict, and say what they seem to be.
 
     T_cam_target has by camera the poses (V, 4, 4) of the board, NaN where not known. Moving rows
-    are not compared, since a time offset looks like another row. Returns what is to be noted.
+    are not compared, since a time offset looks like another row.
     """
     evidence = evidence_of(observations, T_cam_target)
     fits = [fit_eye(evidence, views) for views in evidence.eyes]
@@ -473,7 +473,6 @@ def check_readings_and_images(
                 "described; check the axes of its joints. The largest differences: "
                 f"{_worst(observations, evidence.eyes[k], fits[k])}."
             )
-    return _eyes_alike(evidence, fits)
 
 
 def evidence_of(observations: Observations, T_cam_target: Mapping[str, Array]) -> Evidence:
@@ -562,21 +561,6 @@ def _worst(observations: Observations, views: EyeViews, fit: TurnFit) -> str:
     names = [observations.name_of_view(int(row)) for row in views.rows[worst]]
     off_deg = np.degrees(fit.by_view[worst])
     return ", ".join(f"{n} ({off:.2g} degrees)" for n, off in zip(names, off_deg, strict=True))
-
-
-def _eyes_alike(evidence: Evidence, fits: list[TurnFit]) -> list[Finding]:
-    """Note eyes that moved so much alike that exchanged readings would not show."""
-    order = _other_eyes_readings(evidence.kinematics)
-    if len(evidence.eyes) < 2 or order is None or evidence.T_base_eye is not None:
-        return []
-    other = replace(evidence, readings=evidence.readings[:, order])
-    if _score([fit_eye(other, views) for views in other.eyes]) - _score(fits) > np.log(ALIKE):
-        return []
-    sentence = (
-        "Both eyes moved so much alike that exchanged readings of left and right would not show; "
-        "let the eyes verge in some of the views."
-    )
-    return [note("eyes-alike", sentence)]
 
 
 def implausible_geometry(head: HeadCalibration) -> list[Finding]:

@@ -10,22 +10,17 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.calibration import board_numbering, excitation, plausibility
-from vergence.calibration.intrinsics import (
-    LEAST_VIEWS,
-    Intrinsics,
-    calibrate_intrinsics,
-)
+from vergence.calibration.intrinsics import Intrinsics, calibrate_intrinsics
 from vergence.calibration.lens_choice import (
     LensChoice,
     LensOption,
     choose_lenses,
 )
 from vergence.calibration.lenses import LensModel
-from vergence.calibration.observations import Observations, camera_eyes, check_readings
+from vergence.calibration.observations import Observations, camera_eyes
 from vergence.calibration.outliers import without_strays
-from vergence.errors import VergenceError
 from vergence.geometry.board import corner_points
-from vergence.vision.board_pose import LEAST_CORNERS, board_poses, seen_corners
+from vergence.vision.board_pose import board_poses
 
 Method = Literal["bundle", "paper"]
 
@@ -79,9 +74,7 @@ def prepare(
     """
     data = without_strays(data)
     seen = data.take(data.at_rest)
-    _check_views(seen)
-    if method == "bundle":  # the paper's steps need the readings of some views only
-        check_readings(data)
+    camera_eyes(seen)  # VergenceError for a camera of no known eye
     lenses = choose_lenses(seen, lens, of_the_paper=method == "paper")
     models: dict[str, LensModel] = {name: choice.model for name, choice in lenses.items()}
     intrinsics = calibrate_intrinsics(seen, lenses=models)
@@ -92,23 +85,9 @@ def prepare(
     }
     numbered = board_numbering.number_alike(data, T_cam_target)
     observations, T_cam_target = numbered.observations, numbered.T_cam_target
-    findings = plausibility.check_readings_and_images(observations, T_cam_target)
+    plausibility.check_readings_and_images(observations, T_cam_target)
     views = PreparedViews(observations, T_cam_target, lenses, intrinsics)
     excitation.check_excitation(*views.at_rest)
     observations, unsettled = board_numbering.without_unclear(observations, numbered)
-    findings = (*observations.findings, *unsettled, *findings)
+    findings = (*observations.findings, *unsettled)
     return replace(views, observations=replace(observations, findings=findings))
-
-
-def _check_views(seen: Observations) -> None:
-    """Raise a VergenceError for a camera of no known eye, or that shows the board too seldom."""
-    camera_eyes(seen)
-    for name, corners in seen.corners.items():
-        enough = int((seen_corners(corners).sum(axis=1) >= LEAST_CORNERS).sum())
-        if enough < (1 if name in seen.known_lenses else LEAST_VIEWS):
-            mounted = "" if seen.eye_motion == "fixed" else " and T_eye_cam"
-            raise VergenceError(
-                f"{name} shows the board in {enough} images at rest: fx, fy{mounted} "
-                f"are not observable; record at least {LEAST_VIEWS}, better 10, at different "
-                "distances and slants."
-            )
