@@ -13,7 +13,7 @@ from vergence.arrays import Array
 from vergence.data.dataset import Dataset, Frame, stereo_rows
 from vergence.errors import VergenceError
 from vergence.geometry.camera import unproject
-from vergence.geometry.eye_motion import measured
+from vergence.geometry.eye_motion import eye_motions, measured
 from vergence.geometry.head import HeadCalibration, reading_stds
 from vergence.geometry.se3 import pose
 from vergence.self_calibration.calibrator import Geometry, initial_visual_geometry, update_geometry
@@ -138,9 +138,22 @@ def largest_row_difference_rad(pair: RectifiedPair) -> float:
     """Compute the angle [rad] between rows from which a calibration is doubted.
 
     It is 4.2 standard deviations by the noise of readings, where noise alone makes a median of 0.7,
-    and at least 0.1 degrees.
+    and at least 0.1 degrees. A tilt that both eyes share turns the rows of both alike.
     """
-    stds = np.zeros(1) if measured(pair.joints) else reading_stds(pair.head)
-    turns = stds * (pair.head.kinematics.gear_ratios if stds.any() else 1.0)
-    largest = float(turns.max()) if stds.any() else JOINT_STD_RAD
-    return max(4.2 * np.sqrt(2) * largest, float(np.radians(0.1)))
+    return max(4.2 * _row_noise_rad(pair), float(np.radians(0.1)))
+
+
+def _row_noise_rad(pair: RectifiedPair) -> float:
+    """Compute the standard deviation [rad] of the angle between rows by the noise of readings."""
+    if measured(pair.joints):
+        return JOINT_STD_RAD
+    head, factors = pair.head, pair.head.kinematics.gear_ratios
+    stds = reading_stds(head)
+    stds = stds if stds.any() else JOINT_STD_RAD / factors
+    along = pair.T_lbase_rect[:3, 0]
+    axes = along, head.T_rbase_lbase[:3, :3] @ along
+    by_readings = np.zeros(len(factors))
+    eyes = eye_motions(head, pair.joints, errors=False)
+    for sign, axis, eye in zip((1, -1), axes, eyes, strict=True):
+        by_readings += sign * axis @ eye.by_readings(eye.by_moves)[:3]
+    return float(np.linalg.norm(by_readings * stds))
