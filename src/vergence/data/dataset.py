@@ -142,22 +142,24 @@ class Dataset:
         return f"{self.folder / FRAMES}, line {self.lines[row]}"
 
 
-def runs(dataset: Dataset) -> np.ndarray:
+def number_motions(time_s: Array, moving: np.ndarray) -> np.ndarray:
     """Number the motion of each row (N,) of int from 1; 0 for eyes at rest.
 
-    A motion ends where the eyes rest or rows are more than MAX_GAP_S apart. VergenceError if one
-    has fewer than LEAST_MOVING rows.
+    A motion ends where the eyes rest or rows are more than MAX_GAP_S apart.
     """
-    late = np.diff(dataset.joint_time_s, prepend=-np.inf) > MAX_GAP_S
-    before = np.concatenate([[False], dataset.moving[:-1]])
-    run = np.cumsum(dataset.moving & (late | ~before)) * dataset.moving
-    for number in range(1, run.max(initial=0) + 1):
+    late = np.diff(time_s, prepend=-np.inf) > MAX_GAP_S
+    return np.cumsum(moving & (late | ~np.roll(moving, 1))) * moving
+
+
+def runs(dataset: Dataset) -> np.ndarray:
+    """Number the motions of a dataset; VergenceError if one has fewer than LEAST_MOVING rows."""
+    run = number_motions(dataset.joint_time_s, dataset.moving)
+    for number in np.flatnonzero(np.bincount(run)[1:] < LEAST_MOVING) + 1:
         rows = np.flatnonzero(run == number)
-        if len(rows) < LEAST_MOVING:
-            raise VergenceError(
-                f"{dataset.where(rows[0])}: moving rows come at least {LEAST_MOVING} in sequence, "
-                f"not more than {MAX_GAP_S} s apart; found {len(rows)}."
-            )
+        raise VergenceError(
+            f"{dataset.where(rows[0])}: moving rows come at least {LEAST_MOVING} in sequence, "
+            f"not more than {MAX_GAP_S} s apart; found {len(rows)}."
+        )
     return run
 
 

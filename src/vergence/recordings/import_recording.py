@@ -14,7 +14,7 @@ import pyarrow
 from pyarrow import csv
 
 from vergence.arrays import Array
-from vergence.data.dataset import LEAST_MOVING, MAX_GAP_S, Dataset, Frame
+from vergence.data.dataset import LEAST_MOVING, MAX_GAP_S, Dataset, Frame, number_motions
 from vergence.data.description import STREAM, TIME, Description
 from vergence.data.images import to_8_bits
 from vergence.data.reader import load_dataset
@@ -25,7 +25,7 @@ from vergence.geometry.board import Board, described
 from vergence.progress import Progress, silent
 from vergence.recordings.board_placements import number_placements
 from vergence.recordings.formats import open_recording
-from vergence.recordings.frame_choice import choose_frames, join_at_rest
+from vergence.recordings.frame_choice import choose_frames, join_at_rest, seconds
 from vergence.recordings.moments import (
     check_moments,
     find_moments,
@@ -79,7 +79,8 @@ def import_recording(
             )
         kept = np.flatnonzero(number >= 0)
         rows, moving, placement = rows[kept], moving[kept], number[kept]
-        few = _too_few(moments.time_ns[rows], moving)
+        run = number_motions(seconds(moments)[rows], moving)
+        few = moving & (np.bincount(run)[run] < LEAST_MOVING)
         if board is None:
             moving &= ~few  # they serve as frames at rest
         else:
@@ -109,13 +110,6 @@ def import_recording(
         write_dataset(out, description, frames(), beside=beside)
     dataset = load_dataset(out)
     return replace(dataset, findings=(*dataset.findings, *findings))
-
-
-def _too_few(time_ns: np.ndarray, moving: np.ndarray) -> np.ndarray:
-    """Find the moments (F,) of motions with fewer than LEAST_MOVING moments in sequence."""
-    late = np.diff(time_ns, prepend=time_ns[:1]) > MAX_GAP_S * 1e9
-    run = np.cumsum(late | np.diff(moving, prepend=moving[:1]))
-    return moving & (np.bincount(run)[run] < LEAST_MOVING)
 
 
 def _corners(
