@@ -51,15 +51,16 @@ def test_opencv_reads_what_it_needs_to_project_and_all_joints(tmp_path, suffix, 
     head = replace(with_k3(unskewed_head(3), 0.0123456789), time_offset_s=0.0321, neck=neck)
     opencv.save(head, tmp_path / f"head{suffix}")
     storage = cv2.FileStorage(str(tmp_path / f"head{suffix}"), cv2.FILE_STORAGE_READ)
-    node = storage.getNode("cameras").getNode("left_wide")
-    K, D = (node.getNode(k).mat() for k in ("camera_matrix", "distortion_coefficients"))
+    node = storage.getNode("cameras").getNode("left_wide").getNode("intrinsics")
+    K, D = (node.getNode(k).mat() for k in ("matrix", "distortion"))
     assert_opencv_projects(K, D, head.cameras["left_wide"].intrinsics)
     np.testing.assert_array_equal(storage.getNode("T_rbase_lbase").mat(), head.T_rbase_lbase)
     assert storage.getNode("time_offset_s").real() == head.time_offset_s
-    assert storage.getNode("neck").getNode("joints").string() == ",".join(neck.joints)
-    eye = storage.getNode("kinematics").getNode("left")
-    for joint in head.kinematics.eyes["left"]:
-        read = eye.getNode(joint.name)
+    joints = storage.getNode("neck").getNode("joints")
+    assert [joints.at(k).string() for k in range(joints.size())] == list(neck.joints)
+    eye = storage.getNode("kinematics").getNode("eyes").getNode("left")
+    for k, joint in enumerate(head.kinematics.eyes["left"]):
+        read = eye.at(k)
         np.testing.assert_array_equal(read.getNode("axis").mat().ravel(), joint.axis)
         assert [read.getNode(n).real() for n in ("gain", "slide_m")] == [joint.gain, joint.slide_m]
 

@@ -23,7 +23,6 @@ from vergence.geometry.lens import CameraModel
 from vergence.interchange.serialization import (
     camera_of,
     check_cameras,
-    intrinsics_fields,
     read,
     write_yaml,
 )
@@ -65,11 +64,16 @@ def save(head: HeadCalibration, folder: Path, at: Array | None = None) -> None:
     rectified = {} if at is None else _rectified(head, at)
     with results_folder(folder):
         for name, mounted in head.cameras.items():
-            content = intrinsics_fields(mounted.intrinsics) | {
+            lens = mounted.intrinsics
+            content = {
+                "image_width": lens.width,
+                "image_height": lens.height,
                 "camera_name": name,
-                "distortion_model": DISTORTION_MODELS[mounted.intrinsics.model],
+                "camera_matrix": lens.matrix,
+                "distortion_model": DISTORTION_MODELS[lens.model],
+                "distortion_coefficients": lens.distortion[None],
                 "rectification_matrix": np.eye(3),
-                "projection_matrix": np.pad(mounted.intrinsics.matrix, ((0, 0), (0, 1))),
+                "projection_matrix": np.pad(lens.matrix, ((0, 0), (0, 1))),
                 **rectified.get(name, {}),
             }
             plain = {key: _plain(value) for key, value in content.items()}

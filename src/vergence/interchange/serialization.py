@@ -46,16 +46,6 @@ def camera_of(
     return Camera(width=size[0], height=size[1], matrix=matrix, distortion=distortion, model=model)
 
 
-def intrinsics_fields(camera: Camera) -> dict[str, Any]:
-    """Name size, matrix and distortion (1, n) of a camera as OpenCV's and ROS's files do."""
-    return {
-        "image_width": camera.width,
-        "image_height": camera.height,
-        "camera_matrix": camera.matrix,
-        "distortion_coefficients": camera.distortion[None],
-    }
-
-
 class _TextLoader(yaml.BaseLoader):
     """Reads every scalar as text: pydantic makes numbers of it, and tags have no effect."""
 
