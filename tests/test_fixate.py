@@ -126,7 +126,8 @@ def test_a_robot_on_a_bus_fixates_by_the_command_line(robot, tmp_path, monkeypat
     monkeypatch.chdir(tmp_path)
     robot.object_lbase = np.array([0.6, -0.15, 0.1])
     words = ["--driver", "robot_on_a_bus:head", "--calibration", "head.json", "--seconds", "2.5"]
-    vergence(monkeypatch, "foveate", *words, "--out", "out")
+    monkeypatch.setattr("vergence.viewer.live.stay", lambda viewer: None)  # until Ctrl-C
+    vergence(monkeypatch, "foveate", *words, "--out", "out", "--serve", "0")
     found = json.loads(Path("out/foveate.json").read_text())
     assert max(found["final_px"].values()) < 2
     assert found["settled_s"] < 2
