@@ -54,6 +54,8 @@ REFUSED = [
     ("foveate --driver a:B --calibration head.json --seconds 0", "--seconds from 1 to 3600."),
     ("foveate --driver no_such:B --calibration head.json", "No driver can be loaded from no_such"),
     ("foveate --calibration head.json", "The twin calibrates itself"),
+    ("track --live --serve 9090", "choose one of the two"),
+    ("grasp --serve 70000", "two free ports"),
     ("reproduce --profile perfect", "ideal, noise-only, paper"),
     ("reproduce --profile missing.toml", "missing.toml"),
     ("reproduce --profile bad.toml", "joints.noise_deg: "),

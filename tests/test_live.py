@@ -73,7 +73,7 @@ def test_only_this_computer_is_served_and_nothing_is_left_afterwards(capsys):
     with open_viewer(serve=port) as viewer:
         assert viewer is not None
         assert listening(port, port + 1) == ["0100007F", "0100007F"]
-        with pytest.raises(VergenceError, match=f"cannot use port {port}"), open_viewer(serve=port):
+        with pytest.raises(VergenceError, match=f"two free ports.* {port}: "), open_viewer(port):
             pass
     assert soon_free(port)
     assert capsys.readouterr().err == f"Watch at {viewer.page}\n"
@@ -159,13 +159,8 @@ def test_killing_the_viewer_changes_neither_the_commands_nor_the_recording(tmp_p
 def test_a_window_that_cannot_open_is_explained(monkeypatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
         monkeypatch.delenv(name, raising=False)
-    with (
-        pytest.raises(VergenceError, match=r"did not start: .*DISPLAY.*--serve"),
-        open_viewer(live=True),
-    ):
-        pass
-    with pytest.raises(VergenceError, match="choose one"), open_viewer(live=True, serve=9090):
+    with pytest.raises(VergenceError, match=r"not start: .*DISPLAY.*--serve"), open_viewer():
         pass
     for port in (-1, 65535, 70000):
-        with pytest.raises(VergenceError, match="from 1 to 65535"), open_viewer(serve=port):
+        with pytest.raises(VergenceError, match="needs two free ports"), open_viewer(serve=port):
             pass

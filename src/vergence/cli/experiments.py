@@ -201,10 +201,10 @@ def _fixate(
         found = fixate(
             driver,
             head,
+            partial(watch_gaze, feed),
             seconds=seconds,
             geometry=options.geometry,
             progress=progress,
-            watched=partial(watch_gaze, feed),
         )
     report = Report("foveate", (as_json(found, digits=4).rstrip(),), found, shown=shown)
     report.write_json(options.json)
@@ -315,17 +315,11 @@ def _experiment(
     check_outputs(
         options.json, folder=options.out, names=results, inputs=[options.profile, options.head]
     )
+    settings = Experiment(
+        profile, options.seed, options.scene, options.geometry, options.out, options.head
+    )
     with viewing(options) as (viewer, shown), progress_bars(options.out) as progress:
-        settings = Experiment(
-            profile,
-            options.seed,
-            options.scene,
-            options.geometry,
-            options.out,
-            options.head,
-            viewer,
-        )
-        found = run(settings, progress)
+        found = run(replace(settings, viewer=viewer), progress)
     report = Report(name, (as_json(found, digits=4).rstrip(),), found, shown=shown)
     report.write_json(options.json)
     if options.out is not None:

@@ -122,10 +122,12 @@ def viewing(options: ViewerOptions) -> Iterator[tuple[Viewer | None, ExitStack]]
     if not options.live and options.serve is None:
         yield None, shown
         return
+    if options.live and options.serve is not None:
+        raise VergenceError("--live opens a window, --serve a page; choose one of the two.")
     from vergence.viewer.live import open_viewer, stay
 
     with ExitStack() as opened:
-        viewer = opened.enter_context(open_viewer(live=options.live, serve=options.serve))
+        viewer = opened.enter_context(open_viewer(options.serve))
         yield viewer, shown
         opened.callback(stay, viewer)
         shown.enter_context(opened.pop_all())

@@ -66,11 +66,11 @@ class _EyesOnly:
 def fixate(
     driver: Driver,
     head: HeadCalibration,
+    watched: Callable[[GazeSettings], Watch] = lambda settings: lambda state, frame: None,
     *,
     seconds: float,
     geometry: Geometry = "joints",
     progress: Progress = silent,
-    watched: Callable[[GazeSettings], Watch] = lambda settings: lambda state, frame: None,
 ) -> Fixation:
     """Turn the eyes of a driver to the object that the gaze finds, and keep them on it.
 

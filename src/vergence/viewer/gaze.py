@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import rerun as rr
@@ -25,7 +25,7 @@ from vergence.viewer import style
 from vergence.viewer.layouts import camera_entities
 from vergence.viewer.live import Feed
 from vergence.viewer.recording import log_frame, set_time
-from vergence.viewer.seen import log_learned, log_matches
+from vergence.viewer.seen import log_learned, log_matches, log_seen_styles
 from vergence.viewer.shapes import log_points_style, placed
 
 
@@ -103,6 +103,8 @@ def watch_gaze(feed: Feed, settings: GazeSettings) -> Callable[[GazeState, Frame
         nonlocal count, phase
         if frame is None or not feed.used:
             return
+        if not count and state.geometry is not None:
+            feed.always(log_seen_styles, head, state.geometry.state)
         eyes = {
             f"{eye}_eye": T_world_body
             @ base_pose_in_body(head, eye, frame.neck_angles)
@@ -113,7 +115,9 @@ def watch_gaze(feed: Feed, settings: GazeSettings) -> Callable[[GazeState, Frame
         if state.phase.value != phase:
             phase = state.phase.value
             feed.always(log_states, frame.time_s, count, {"gaze": phase})
-        feed(log_gaze, settings, state, frame, observed)
+        # Copies, since a driver may write its next images into the same arrays.
+        images = {name: np.array(image) for name, image in frame.images.items()}
+        feed(log_gaze, settings, state, replace(frame, images=images), observed)
         count += 1
 
     return watch

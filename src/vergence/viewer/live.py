@@ -37,7 +37,7 @@ HOST = "127.0.0.1"
 """The address of this computer that no other one can reach. Rerun's default is every address."""
 BACKLOG = 10
 """Moments that may wait for the viewer: a third of a second at 30 Hz, 40 MB of four images each."""
-START_S, WINDOW_S, END_S = 20.0, 1.0, 3.0
+START_S, WINDOW_S, END_S = 20.0, 0.5, 3.0
 """Limits [s]: for a viewer to start, for its window to fail, to take the last moments of a run.
 Measured: 0.1 s, 0.1 s, 0.01 s."""
 FLUSH_S = 0.2
@@ -45,12 +45,11 @@ FLUSH_S = 0.2
 _GUARDED = """
 import os, signal, sys, threading
 from rerun_cli.__main__ import main
-end = lambda: sys.stdin.read() or os.killpg(0, signal.SIGKILL)
+end = lambda: sys.stdin.read() + os.killpg(0, signal.SIGKILL)
 threading.Thread(target=end, daemon=True).start()
 sys.exit(main())
 """
-"""Rerun's command line, which ends with its standard input unless something was written there: a
-program that is killed leaves no server behind."""
+"""Rerun's command line, which ends with its standard input: no server outlives this program."""
 
 Log = Callable[..., None]
 """A function that records something: its first argument is the recording, such as `log_frame`."""
@@ -69,29 +68,24 @@ class Viewer:
 
 
 @contextmanager
-def open_viewer(*, live: bool = False, serve: int | None = None) -> Iterator[Viewer | None]:
-    """Open a window (`live`) or serve a page on port `serve`, for a `with` block; None: neither.
+def open_viewer(serve: int | None = None) -> Iterator[Viewer]:
+    """Open a window, or serve a page on a port (0: a free one), for a `with` block.
 
     The page takes recordings on the next port. It ends with the block, while a window stays open.
-    VergenceError if both are asked for, a port is taken, or no window can be opened.
+    VergenceError if a port is taken, or no window can be opened.
     """
-    if not live and serve is None:
-        yield None
-        return
-    if live and serve is not None:
-        raise VergenceError("A window (live) and a page (serve) are asked for; choose one of them.")
+    port = _free_port(serve or 0)
+    program, options, page = ["-m", "rerun_cli"], ["--bind", HOST], None
     if serve is not None:
-        serve = _free_port(serve)
-    port = _free_port(0 if serve is None else serve + 1)
-    address, page = f"rerun+http://{HOST}:{port}/proxy", None
-    command = [sys.executable, "-c", _GUARDED, "--bind", HOST, "--port", str(port)]
+        program, options = ["-c", _GUARDED], [*options, "--serve-web", f"--web-viewer-port={port}"]
+        port = _free_port(port + 1)
+    address = f"rerun+http://{HOST}:{port}/proxy"
     if serve is not None:
-        page = f"http://{HOST}:{serve}/?url={quote(address, safe='')}"
-        command += ["--serve-web", "--web-viewer-port", str(serve)]
+        page = f"http://{HOST}:{port - 1}/?url={quote(address, safe='')}"
     with tempfile.TemporaryFile() as messages:
         process = subprocess.Popen(
-            command,
-            stdin=subprocess.PIPE,
+            [sys.executable, *program, *options, f"--port={port}"],
+            stdin=subprocess.PIPE if page else subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=messages,
             # With CI rerun reports no usage to its makers.
@@ -99,7 +93,7 @@ def open_viewer(*, live: bool = False, serve: int | None = None) -> Iterator[Vie
             start_new_session=True,  # Ctrl-C is for this program
         )
         try:
-            if not _started(process, port, serve):
+            if not _started(process, port):
                 messages.seek(0)
                 reason = messages.read().decode(errors="replace").strip().rpartition(": ")[2]
                 instead = "" if page else "; serve=PORT (--serve PORT) shows the run in a browser"
@@ -107,55 +101,49 @@ def open_viewer(*, live: bool = False, serve: int | None = None) -> Iterator[Vie
             print("The viewer is open." if page is None else f"Watch at {page}", file=sys.stderr)
             yield Viewer(process, address, page)
         finally:
-            _end(process, stays=page is None)
+            if page is not None:
+                _end(process)
 
 
 def _free_port(port: int) -> int:
     """Check that a port can be served; 0: find one. VergenceError if it cannot."""
     with socket.socket() as trial:
-        if os.name == "posix":  # as rerun does: a server that has just ended does not matter
+        if os.name == "posix":  # a server that has just ended does not matter
             trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             trial.bind((HOST, port))
         except (OSError, OverflowError) as error:
-            reason = getattr(error, "strerror", None) or "a port is a number from 1 to 65535"
             raise VergenceError(
-                f"The viewer cannot use port {port}: {reason}. The page needs the port that is "
-                "asked for and the next one."
+                "A page needs two free ports, the one that is named and the next; found for "
+                f"{port}: {getattr(error, 'strerror', None) or error}."
             ) from None
         return trial.getsockname()[1]
 
 
-def _started(process: subprocess.Popen[bytes], *ports: int | None) -> bool:
+def _started(process: subprocess.Popen[bytes], port: int) -> bool:
     """Wait until a viewer takes connections; False: it has ended, or does not take any."""
     until = time.monotonic() + START_S
-    for port in filter(None, ports):
-        while time.monotonic() < until and process.poll() is None:
-            with suppress(OSError), socket.create_connection((HOST, port), timeout=1.0):
-                break
-            time.sleep(0.02)
-    if None in ports:  # a window is opened last, and fails without a display
-        with suppress(subprocess.TimeoutExpired):
-            process.wait(WINDOW_S)
+    while time.monotonic() < until and process.poll() is None:
+        with suppress(OSError), socket.create_connection((HOST, port), timeout=1.0):
+            break
+        time.sleep(0.02)
+    with suppress(subprocess.TimeoutExpired):  # a window comes last, and fails without a display
+        process.wait(WINDOW_S)
     return time.monotonic() < until and process.poll() is None
 
 
-def _end(process: subprocess.Popen[bytes], *, stays: bool = False) -> None:
-    """Let a viewer be, or end it with all that it has started."""
-    assert process.stdin is not None
-    with suppress(OSError):  # it has ended by itself
-        if stays and not process.stdin.closed:
-            process.stdin.write(b"stays")
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """End a viewer with all that it has started."""
+    with suppress(OSError):
+        os.killpg(process.pid, signal.SIGKILL)
+    if process.stdin is not None:
         process.stdin.close()
-    if not stays:
-        with suppress(OSError):
-            os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
+    process.wait()
 
 
-def stay(viewer: Viewer | None) -> None:
+def stay(viewer: Viewer) -> None:
     """Serve the page of a run that is over until Ctrl-C, or until its server is ended."""
-    if viewer is not None and viewer.page is not None and viewer.process.poll() is None:
+    if viewer.page is not None and viewer.process.poll() is None:
         print(f"The run is over. Ctrl-C ends the page {viewer.page}", file=sys.stderr)
         with suppress(KeyboardInterrupt):
             viewer.process.wait()
@@ -206,35 +194,28 @@ def open_feed(
     The file is as of `recording_file`. Without a layout rerun chooses one. The cameras of a head
     and the visible shapes of a robot are drawn.
     """
-    with (
-        nullcontext() if file is None else recording_file(file, title, layout, head, geoms) as rec,
-        nullcontext() if viewer is None else _connected(viewer, title, layout) as waiting,
-    ):
-        if waiting is not None:
-            waiting.put((log_surroundings, (head, geoms), {}))
-        yield Feed(rec, waiting)
-
-
-@contextmanager
-def _connected(viewer: Viewer, title: str, layout: rrb.Blueprint | None) -> Iterator[Waiting]:
-    """Start the thread that records to a viewer what is put into a queue."""
-    rr.set_strict_mode(True)  # by default bad data is dropped with a warning
-    waiting: Waiting = SimpleQueue()
-    thread = threading.Thread(target=_show, args=(viewer, title, layout, waiting), daemon=True)
-    thread.start()
-    try:
-        yield waiting
-    finally:
-        waiting.put(None)
-        thread.join(END_S)
-        if thread.is_alive():  # rerun waits for a viewer that is stuck until that ends
-            print("The viewer hangs; it is ended.", file=sys.stderr)
-            _end(viewer.process)
-            thread.join()
+    with nullcontext() if file is None else recording_file(file, title, layout, head, geoms) as rec:
+        if viewer is None:
+            yield Feed(rec)
+            return
+        waiting: Waiting = SimpleQueue()
+        waiting.put((log_surroundings, (head, geoms), {}))
+        thread = threading.Thread(target=_show, args=(viewer, title, layout, waiting), daemon=True)
+        thread.start()
+        try:
+            yield Feed(rec, waiting)
+        finally:
+            waiting.put(None)
+            thread.join(END_S)
+            if thread.is_alive():  # rerun waits for a viewer that is stuck until that ends
+                print("The viewer hangs; it is ended.", file=sys.stderr)
+                _end(viewer.process)
+                thread.join()
 
 
 def _show(viewer: Viewer, title: str, layout: rrb.Blueprint | None, waiting: Waiting) -> None:
     """Record to a viewer what waits, moment by moment, until None."""
+    rr.set_strict_mode(True)  # by default bad data is dropped with a warning
     rec = rr.RecordingStream(style.APPLICATION)
     layout = None if layout is None else following(layout)
     rec.connect_grpc(viewer.address, default_blueprint=layout)
