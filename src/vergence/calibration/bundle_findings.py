@@ -27,8 +27,6 @@ WRONG_VIEW = "wrong-view"
 """Code of the findings on views that were left out."""
 MOVED_MM = 0.5
 """Motion of a held board [mm] from which its view is named."""
-MOST_NAMED = 3
-"""Number of causes of wrong views that are described."""
 
 
 def bundle_findings(of: Outcome) -> tuple[Finding, ...]:
@@ -94,15 +92,10 @@ def _wrong(of: Outcome) -> Iterator[Finding]:
             "or a pose of another moment or camera, and for a board that moved or is numbered from "
             "the wrong end"
         ]
-    views: dict[str, list[int]] = {}
-    for view in sorted(messages):
-        views.setdefault(", ".join(messages[view]), []).append(view)
     severity = note if wrong.few else warning
-    for k, (message, own) in enumerate(views.items()):
-        where = ", ".join(map(of.observations.name_of_view, own))
-        why = f": {message}" if k < MOST_NAMED else ", as others"
-        sentence = f"{where.capitalize()} {'was' if len(own) == 1 else 'were'} left out{why}."
-        yield severity(WRONG_VIEW, sentence, where)
+    for view in sorted(messages):
+        where, why = of.observations.name_of_view(view), ", ".join(messages[view])
+        yield severity(WRONG_VIEW, f"{where.capitalize()} was left out: {why}.", where)
 
 
 def _moved_boards(of: Outcome) -> Iterator[Finding]:
@@ -115,17 +108,14 @@ def _moved_boards(of: Outcome) -> Iterator[Finding]:
         view[detections.board] = detections.views
         shift_mm = 1e3 * np.linalg.norm(errors[:, 3:], axis=1)
         moved = np.flatnonzero(shift_mm > MOVED_MM)
-        moved = moved[np.argsort(-shift_mm[moved])]
-        names = [of.observations.name_of_view(int(view[residual.before[k]])) for k in moved]
-        where = ", ".join(names)
-        sizes = zip(names[:MOST_NAMED], shift_mm[moved], strict=False)
-        most = ", ".join(f"{name} by {size:.1f} mm" for name, size in sizes)
-        sentence = (
-            f"Boards that were held by hand moved between the images of the two eyes (in "
-            f"{counted(len(moved), 'view')}, most in {most}), which the estimate allows for: "
-            "trigger both cameras at once, or put the board down."
-        )
+        views = view[residual.before[moved]].tolist()
         if len(moved):
+            sentence = (
+                f"Boards that were held by hand moved by up to {shift_mm.max():.1f} mm between the "
+                f"images of the two eyes, in {counted(len(moved), 'view')}, which the estimate "
+                "allows for: trigger both cameras at once, or put the board down."
+            )
+            where = ", ".join(map(of.observations.name_of_view, views))
             yield note("board-moved", sentence, where)
 
 
