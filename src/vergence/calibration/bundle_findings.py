@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from vergence.calibration import undetermined
+from vergence.calibration.backlash import BLOCK
 from vergence.calibration.moved_boards import HeldBoards
 from vergence.calibration.observations import Observations, PoseObservations
 from vergence.calibration.outcome import MOST_WRONG, Outcome
@@ -17,6 +18,11 @@ from vergence.errors import counted, listed
 from vergence.findings import Finding, by_severity, note, warning
 from vergence.geometry.kinematics import EYES
 
+SURE = 5.0
+"""Standard deviations from which the images of one eye are later than those of the other: far more
+than noise makes in any recording."""
+LEAST_APART_S = 0.001
+"""Least such time that is worth a warning: 0.06 degrees at a rad/s."""
 SURE_BACKLASH = 3.0
 """Standard deviations from zero from which backlash is noted."""
 SURE_SIZE = 2.0
@@ -40,6 +46,7 @@ def bundle_findings(of: Outcome) -> tuple[Finding, ...]:
         undetermined.noise(of),
         _lost_corners(of),
         _backlash(of),
+        _apart_in_time(of),
         _systematic(of),
         _board_size(of),
     )
@@ -160,6 +167,44 @@ def _backlash(of: Outcome) -> Iterator[Finding]:
                 "linkage; the calibration allows for it."
             )
             yield note("play", sentence)
+
+
+def _apart_in_time(of: Outcome) -> Iterator[Finding]:
+    """Report that one time offset does not fit the images of both eyes.
+
+    The errors of the readings are then proportional to the eye's velocity, and may have passed for
+    backlash. The factor, by weighted least squares with both, is how much later than the offset the
+    images of that eye are.
+    """
+    readings, x = of.readings, of.found.x
+    posture = of.problem.measured.detections.posture
+    owner, eye = np.unique(np.stack([posture, of.eyes]), axis=1)
+    if readings.around is None or (np.diff(owner) == 0).any() or len(np.unique(eye)) < 2:
+        return  # at rest, one eye, or readings that move both
+    rate, errors = readings.rate(x), of.found.errors[1]
+    precision = np.array([of.found.levels[name] for name in readings.kinds]) ** -2
+    weight = (of.found.linear.weights[1] == 1) * precision
+    postures = readings.postures
+    backlash = x[BLOCK][postures.joint] * postures.motion / 2 if x[BLOCK].size else 0.0
+    late = []
+    for e in range(len(EYES)):
+        mine, w = eye == e, np.sqrt(weight[eye == e]).ravel()
+        by_backlash = np.eye(rate.shape[1]) * postures.motion[mine][:, None]
+        rows = np.dstack([rate[mine], by_backlash]).reshape(len(w), -1) * w[:, None]
+        inverse = np.linalg.pinv(rows.T @ rows, hermitian=True)
+        solution = inverse @ rows.T @ (w * (errors - backlash)[mine].ravel())
+        late.append((solution[0], inverse[0, 0]))
+    (left, left_variance), (right, right_variance) = late
+    apart = float(right - left)
+    if abs(apart) < max(SURE * np.sqrt(left_variance + right_variance), LEAST_APART_S):
+        return
+    late_eye, other = EYES[::-1] if apart > 0 else EYES
+    sentence = (
+        f"Images of the {late_eye} eye lag behind its joint readings by about "
+        f"{1e3 * abs(apart):.2g} ms more than those of the {other} eye, but one time offset stands "
+        "for both: trigger all cameras and read all joints at one moment, or leave moving rows out."
+    )
+    yield warning("eyes-apart-in-time", sentence)
 
 
 def _systematic(of: Outcome) -> Iterator[Finding]:
