@@ -126,15 +126,14 @@ def recorded(
     reach_m: float,
     speed: float = 1.0,
     hand: bool = False,
-    runs: int | None = None,
 ) -> Iterator[tuple[Watch, Finish]]:
     """Record runs in a `with` block to `name`.rrd in the experiment's folder, and in its viewer.
 
-    Either may be missing. Runs, each with its time from zero, follow each other on one timeline;
-    the file has the first `runs` of them (None: all). Images are recorded of the frames that have
-    those of all cameras. The 3-D view reaches as far as stated [m]; `speed` is that of the
-    playback. Yields the function to call for each frame, and the one that writes a summary to
-    `name`.json and into the recording. VergenceError if a file cannot be written.
+    Either may be missing. Runs, each with its time from zero, follow each other on one timeline.
+    Images are recorded of the frames that have those of all cameras. The 3-D view reaches as far as
+    stated [m]; `speed` is that of the playback. Yields the function to call for each frame, and the
+    one that writes a summary to `name`.json and into the recording. VergenceError if a file cannot
+    be written.
     """
     title = f"{name}, profile {experiment.profile.name}, seed {experiment.seed}"
     out, viewer = experiment.out, experiment.viewer
@@ -152,28 +151,24 @@ def recorded(
                 write_json(summary, out / f"{name}.json")
             feed.always(log_report, f"# {title}\n\n```\n{as_json(summary, digits=4)}```\n")
 
-        yield _watch(feed, twin, settings, runs), finish
+        yield _watch(feed, twin, settings), finish
 
 
-def _watch(feed: Feed, twin: Twin, settings: GazeSettings, runs: int | None) -> Watch:
+def _watch(feed: Feed, twin: Twin, settings: GazeSettings) -> Watch:
     """Make the function that records the frames of all runs on one timeline."""
     head = settings.calibration
-    count, run, latest_s, began_s = 0, 1, -np.inf, 0.0
+    count, latest_s, began_s = 0, -np.inf, 0.0
     lanes_before: dict[str, str] = {}
 
     def watch(
         state: GazeState, frame: Frame | None, lanes: Mapping[str, str], hand: Array | None
     ) -> None:
-        nonlocal feed, count, run, latest_s, began_s, lanes_before
+        nonlocal count, latest_s, began_s, lanes_before
         if frame is None:
             return
         if frame.time_s < latest_s:  # the next run
-            began_s, run = began_s + latest_s + FRAME_S, run + 1
+            began_s += latest_s + FRAME_S
         latest_s = frame.time_s
-        if runs is not None and run > runs:
-            feed = replace(feed, file=None)
-        if not feed.used:
-            return
         # Those of all cameras are enough, and the file stays small.
         shown = frame if len(frame.images) == len(head.cameras) else replace(frame, images={})
         T_body_lbase = base_pose_in_body(head, "left", frame.neck_angles)

@@ -171,15 +171,10 @@ def foveate(
     check_trials(trials)
     with (
         calibrated_twin(experiment, progress) as (twin, settings),
-        recorded(
-            experiment,
-            "foveate",
-            twin,
-            settings,
-            reach_m=DEPTH_M[1],
-            speed=0.25,
-            runs=10,  # to keep the file small
-        ) as (watch, finish),
+        recorded(experiment, "foveate", twin, settings, reach_m=DEPTH_M[1], speed=0.25) as (
+            watch,
+            finish,
+        ),
     ):
         if experiment.out is not None:
             save(draw_foveation(settings.calibration), experiment.out / "depth.png")
@@ -191,7 +186,8 @@ def foveate(
         where = targets(trials, experiment.seed, free=free)
 
         def record(state: GazeState, frame: Frame | None) -> None:
-            watch(state, frame, {"object": f"{len(made) + 1}"}, None)
+            if len(made) < 10 or experiment.viewer:  # files stay small
+                watch(state, frame, {"object": f"{len(made) + 1}"}, None)
 
         made: list[Trial] = []
         known = initial_geometry(twin, settings)

@@ -174,21 +174,16 @@ def grasp(
     seed = experiment.seed
     with (
         calibrated_twin(experiment, progress) as (twin, gaze),
-        recorded(
-            experiment,
-            "grasp",
-            twin,
-            gaze,
-            reach_m=FAR_M[0],
-            speed=0.5,
-            hand=True,
-            runs=3,  # to keep the file small
-        ) as (watch, finish),
+        recorded(experiment, "grasp", twin, gaze, reach_m=FAR_M[0], speed=0.5, hand=True) as (
+            watch,
+            finish,
+        ),
     ):
         settings = ReachSettings(gaze=gaze)
 
         def record(state: ReachState, frame: Frame | None) -> None:
-            watch(state.gaze, frame, {"hand": state.phase.value}, state.hand)
+            if len(made) < 3 or experiment.viewer:  # files stay small
+                watch(state.gaze, frame, {"hand": state.phase.value}, state.hand)
 
         made: list[Trial] = []
         known = initial_geometry(twin, gaze)
