@@ -80,7 +80,7 @@ class ReachyMiniHead:
         return time.monotonic()
 
     def read(self, cameras: Sequence[str]) -> Frame:
-        """Wait for the next image, and read the head's pose. VergenceError if there is none."""
+        """Wait for the next image, and read the head's pose. VergenceError if the camera fails."""
         image, image_s = self._image(), self.now_s()
         angles, joint_s = self._angles(), self.now_s()
         return Frame(image_s, joint_s, angles, np.empty(0), dict.fromkeys(cameras, image))
