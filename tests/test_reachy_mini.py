@@ -77,9 +77,9 @@ def test_readings_and_commands_are_pan_tilt_and_roll(monkeypatch):
     head = ReachyMiniHead()
     goal = np.array([0.3, -0.2, 0.1])
     turn(head, goal, 0.3)
-    found = head.read(("left_camera",))
+    found = head.read(("camera",))
     np.testing.assert_allclose(found.eye_angles, goal, atol=1e-9)
-    assert found.images["left_camera"][0, 0].tolist() == [0, 0, 200]
+    assert found.images["camera"][0, 0].tolist() == [0, 0, 200]
     left = Rotation.from_matrix(robot.pose[:3, :3]).apply([1.0, 0, 0])
     assert left[1] > 0.2  # pan is positive to the left
     assert left[2] > 0.1  # and tilt negative up
@@ -198,12 +198,12 @@ def test_the_makers_simulation_is_calibrated_and_fixates(simulation, tmp_path, m
         R = Rotation.from_rotvec(rng.uniform(-0.5, 0.5, 3)).as_matrix()
         simulation.put("board", T_world_cam @ pose(R, t) @ middle)
         time.sleep(0.1)
-        rows.append(DatasetRow(head.read(("left_camera",)), placement))
+        rows.append(DatasetRow(head.read(("camera",)), placement))
     R = Rotation.from_rotvec([0.25, -0.2, 0.05]).as_matrix()
     simulation.put("board", T_world_cam @ pose(R, [0, 0, 0.5]) @ middle)
     for _ in range(20):
         turn(head, rng.uniform(-1, 1, 3) * [0.3, 0.2, 0.2], 0.8)
-        rows.append(DatasetRow(head.read(("left_camera",)), 12))
+        rows.append(DatasetRow(head.read(("camera",)), 12))
     write_dataset(tmp_path / "recording", head.description, rows)
     head.close()
     simulation.put("board", pose(t=[-2.0, 0, 1]))
@@ -214,7 +214,7 @@ def test_the_makers_simulation_is_calibrated_and_fixates(simulation, tmp_path, m
         monkeypatch.setattr(sys, "argv", ["vergence", *command])
         capsys.readouterr()
         cli.main()
-    assert json.loads(capsys.readouterr().out)["final_px"]["left_camera"] < 8
+    assert json.loads(capsys.readouterr().out)["final_px"]["camera"] < 8
     ball = (np.linalg.inv(simulation.T_world_cam()) @ [0.8, 0.15, 0.3, 1])[:3]
     focal_px = HEIGHT / 2 / np.tan(np.radians(40))
     assert np.linalg.norm(focal_px * ball[:2] / ball[2]) < 8

@@ -78,7 +78,7 @@ def bus(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iter
         "PORT": found.port,
         "SERVOS": SERVOS,
         "SHARED": {"right_tilt": "left_tilt"},
-        "CAMERAS": {"left_camera": (0, camera), "right_camera": (2, replace(camera, eye="right"))},
+        "CAMERAS": {"left_webcam": (0, camera), "right_webcam": (2, replace(camera, eye="right"))},
         "FAILED_S": 0.5,
     }.items():
         monkeypatch.setattr(uvc_servos, name, value)
@@ -95,7 +95,7 @@ def head(bus: SimulatedBus) -> Iterator[UvcServoHead]:
     driver.close()
 
 
-def frame(head: UvcServoHead, cameras=("left_camera",)):
+def frame(head: UvcServoHead, cameras=("left_webcam",)):
     for _ in range(20):
         if (found := head.read(cameras)) is not None:
             return found
@@ -104,15 +104,15 @@ def frame(head: UvcServoHead, cameras=("left_camera",)):
 
 def read_for_long(head: UvcServoHead) -> None:
     for _ in range(200):
-        head.read(("left_camera",))
+        head.read(("left_webcam",))
 
 
 def test_positions_and_commands_are_radians_with_signs_and_zeros(bus, head):
     tick = 2 * np.pi / 4096
-    first = frame(head, ("left_camera", "right_camera"))
+    first = frame(head, ("left_webcam", "right_webcam"))
     np.testing.assert_allclose(first.neck_angles, 0, atol=1e-12)
     np.testing.assert_allclose(first.eye_angles, [100 * tick, 0, 0], atol=1e-12)
-    assert first.images["right_camera"][0, 0].tolist() == [32, 20, 10]  # RGB
+    assert first.images["right_webcam"][0, 0].tolist() == [32, 20, 10]  # RGB
     start = np.concatenate([first.neck_angles, first.eye_angles])
     goal = np.array([0.1, -0.2, 0.15, 0.2])
     head.command(HeadCommand(head.now_s(), start, goal, np.zeros(4), head.limits))
@@ -196,10 +196,10 @@ def test_answers_that_come_late_are_not_taken_for_the_next(bus, monkeypatch):
 
 def test_a_camera_that_is_unplugged_or_of_another_size_is_named(bus, head, monkeypatch):
     monkeypatch.setattr(Pictures, "plugged", False)
-    with pytest.raises(VergenceError, match="The camera left_camera gives no images any more"):
+    with pytest.raises(VergenceError, match="The camera left_webcam gives no images any more"):
         read_for_long(head)
     head.close()
-    cameras = {"left_camera": (0, DatasetCamera("left", width=640, height=480))}
+    cameras = {"left_webcam": (0, DatasetCamera("left", width=640, height=480))}
     monkeypatch.setattr(uvc_servos, "CAMERAS", cameras)
     with pytest.raises(VergenceError, match="gives images of 64 x 48, not 640 x 480"):
         UvcServoHead()

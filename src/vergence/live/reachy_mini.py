@@ -44,7 +44,7 @@ class ReachyMiniHead:
         height, width, _ = self._image().shape
         joints = [EyeJoint(name, np.array(axis), {name: 1.0}) for name, axis in AXES.items()]
         self.description = Description(
-            cameras={"left_camera": DatasetCamera("left", width=width, height=height)},
+            cameras={"camera": DatasetCamera("left", width=width, height=height)},
             board=BOARD,
             kinematics={"left": tuple(joints)},
             readings={name: DatasetReading("rad") for name in AXES},

@@ -58,8 +58,8 @@ SERVOS: Mapping[str, Servo] = {
 SHARED: Mapping[str, str] = {}
 """Joints that the servo of another joint moves too, such as {"right_tilt": "left_tilt"}."""
 CAMERAS: Mapping[str, tuple[int | str, DatasetCamera]] = {
-    "left_camera": (0, DatasetCamera("left", width=640, height=480)),
-    "right_camera": (2, DatasetCamera("right", width=640, height=480)),
+    "left_webcam": (0, DatasetCamera("left", width=640, height=480)),
+    "right_webcam": (2, DatasetCamera("right", width=640, height=480)),
 }
 """Cameras by name: N of /dev/videoN, or a lasting name as in /dev/v4l/by-path; and the camera."""
 BOARD: Board = Chessboard(columns=9, rows=6, square_m=0.03)
