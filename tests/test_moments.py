@@ -196,3 +196,11 @@ def test_poses_of_eyes_come_from_a_tree_of_frames():
     sources = {side: PoseSource(base="base", eye="ear") for side in EYES}
     with pytest.raises(VergenceError, match="does not connect the frames base and ear"):
         moments_of(found, mapped(joints={}, poses=sources))
+
+
+def test_degrees_that_are_taken_for_radians_are_refused():
+    found = scanned({"/l": STEADY, "/r": STEADY}, STEADY, np.linspace(-17, 17, len(STEADY)))
+    with pytest.raises(
+        VergenceError, match="more than a turn; if they are in degrees, set its unit"
+    ):
+        checked(found)

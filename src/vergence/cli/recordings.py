@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from vergence.recordings.recording_map import RecordingMap
 
 MAP = "map.toml"
-"""As in `recordings.recording_map`; repeated here since importing that needs numpy."""
+"""Name of the map in the folder that holds a recording."""
 _JOINTS = 60
 """Most joints that a listing shows."""
 

@@ -144,7 +144,7 @@ def check_moments(
 ) -> tuple[Finding, ...]:
     """Note images without readings, and stamps that go backward or seem to be of two clocks.
 
-    VergenceError if stamps stand still, or no image has readings.
+    VergenceError if stamps stand still, no image has readings, or these cannot be radians.
     """
     images = {each.images: scanned.images[each.images] for each in mapped.cameras.values()}
     sources = description.sources.values()
@@ -175,6 +175,13 @@ def check_moments(
         if not moments.known.any():
             raise VergenceError(f"{sentence}; {REMEDY}.")
         findings.append(note("no-readings", f"{sentence}; they were left out."))
+    turns = np.abs(moments.eye_angles * description.head_kinematics.gear_ratios)
+    if (turns > 2 * np.pi).any():
+        name = description.head_kinematics.readings[int(np.nanargmax(turns)) % turns.shape[1]]
+        raise VergenceError(
+            f"The readings of {name} turn an eye by {np.nanmax(turns):.3g} rad, more than a turn; "
+            'if they are in degrees, set its unit to "deg" in the map.'
+        )
     return tuple(findings)
 
 

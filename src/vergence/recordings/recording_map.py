@@ -21,7 +21,6 @@ from vergence.files import read_parsed, validated
 from vergence.geometry.camera import Camera
 from vergence.geometry.kinematics import Side
 
-MAP = "map.toml"
 UNKNOWN = "?"
 """Stands in a first map for what cannot be guessed."""
 MAX_GAP_S = 0.1

@@ -166,13 +166,7 @@ def _read(
     start: int | None,
     stop: int | None,
 ) -> Iterator[Message]:
-    connections = [each for each in reader.connections if each.topic in names]
-    for each in connections:
-        if each.msgtype not in KINDS:
-            raise VergenceError(
-                f"{path}: {each.topic} has messages of type {each.msgtype:.100}; types that are "
-                f"read are {', '.join(KINDS)}."
-            )
+    connections = [c for c in reader.connections if c.topic in names and c.msgtype in KINDS]
     ros1 = isinstance(reader, Ros1Reader)
     deserialize = getattr(typestore(ros1=ros1), "deserialize_" + ("ros1" if ros1 else "cdr"))
     with _explained(str(path)):

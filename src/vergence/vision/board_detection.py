@@ -22,7 +22,7 @@ from vergence.vision.april_grid import detect_april_grid
 from vergence.vision.circle_grid import detect_circle_grid
 from vergence.vision.corner_refinement import HALF_WIDTH_PX, edge_distances, refine_corners
 from vergence.vision.exposure import grey_levels
-from vergence.vision.marker_layout import contradicts, marker_pairs
+from vergence.vision.marker_layout import contradicts, marker_pairs, marker_squares
 
 _NARROW = 0.5
 """Least width of the outermost squares, in squares: that of many printed boards."""
@@ -171,16 +171,15 @@ def _markers_of_one_plane(
 
     The tolerance of half a marker allows for lens distortion.
     """
-    drawn = opencv_board(board)
-    numbers = np.asarray(drawn.getIds(), int).ravel()
-    known = np.flatnonzero(np.isin(ids, numbers))
+    squares = marker_squares(board)
+    known = np.flatnonzero(ids < len(squares))
     if len(known) < 6:  # a homography through four determines no outlier
         return [], ids[:0]
-    centres = np.array([np.mean(quad, axis=0)[:2] for quad in drawn.getObjPoints()])
-    on_board = centres[np.argmax(ids[known, None] == numbers, axis=1)]
     read = np.array([quads[int(k)].reshape(4, 2) for k in known])
     side = float(np.median(np.linalg.norm(np.diff(read, axis=1), axis=-1)))
-    _, inside = cv2.findHomography(on_board, read.mean(axis=1), cv2.RANSAC, 0.5 * side)
+    _, inside = cv2.findHomography(
+        squares[ids[known]] + 0.5, read.mean(axis=1), cv2.RANSAC, 0.5 * side
+    )
     good = known[:0] if inside is None else known[np.asarray(inside, bool).ravel()]
     return [quads[int(k)] for k in good], ids[good].astype(np.int32)
 
