@@ -175,9 +175,6 @@ class StereoRows:
     joints: Array
     """(N, r) readings at the moments of the images [rad], or eye poses (N, 2, 4, 4)."""
 
-    def __len__(self) -> int:
-        return len(self.rows)
-
     def frame(self, k: int) -> Frame:
         """Read the k-th row with the images of both cameras; errors as in `Dataset.image`."""
         frame = self.dataset.frame(int(self.rows[k]), self.cameras)

@@ -25,7 +25,6 @@ from vergence.geometry.head import (
     main_camera,
 )
 from vergence.geometry.kinematics import EYES, straight_gaze
-from vergence.geometry.lens import CameraModel
 from vergence.geometry.se3 import inverse
 from vergence.interchange.serialization import (
     camera_of,
@@ -73,8 +72,7 @@ def save(head: HeadCalibration, path: Path, at: Array | None = None) -> None:
     They stand as at readings (r,) [rad]; None: straight gaze. VergenceError if a camera has skew,
     k3 or a rational lens, or the file cannot be written.
     """
-    models: tuple[CameraModel, ...] = ("radial-tangential", "fisheye")
-    check_cameras(head, "Kalibr's camchain", models=models, has_k3=False)
+    check_cameras(head, "Kalibr's camchain", models=("radial-tangential", "fisheye"), has_k3=False)
     content: dict[str, Any] = {}
     T_head_previous = np.eye(4)
     at = straight_gaze(head.kinematics) if at is None else at

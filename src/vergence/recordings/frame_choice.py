@@ -75,7 +75,7 @@ def join_at_rest(moments: Moments) -> Moments:
     change = {name: each.copy() for name, each in moments.change.items()}
     periods = [np.diff(time_ns[rows >= 0]) for rows in images.values()]
     reach_ns = 0.5 * JITTER * min(float(np.median(each)) if len(each) else 0.0 for each in periods)
-    still = (joint_motion(moments) <= 1).all(axis=1)
+    still = np.asarray((joint_motion(moments) <= 1).all(axis=1))
     kept, first = np.ones(len(moments), bool), 0
     for k in range(1, len(moments)):
         near = time_ns[k] - time_ns[first] <= reach_ns and still[first : k + 1].all()

@@ -58,7 +58,7 @@ def dataset_depth(
     both = stereo_rows(dataset, head)
     if geometry == "seen" and measured(both.joints):
         raise VergenceError(f"--geometry seen corrects joint readings; {dataset.folder} has poses.")
-    wanted = np.unique(np.linspace(0, len(both) - 1, pairs).round().astype(int))
+    wanted = np.unique(np.linspace(0, len(both.rows) - 1, pairs).round().astype(int))
     errors = [_rectification_error(head, both.joints[k]) for k in wanted]
     chosen = [int(k) for k, error in zip(wanted, errors, strict=True) if error is None]
     if errors[0] is not None and not chosen:

@@ -133,7 +133,7 @@ def self_calibrate(
         )
     both = stereo_rows(dataset, head)
     moving = dataset.moving[both.rows]
-    rows = np.flatnonzero(moving) if moving.any() else np.arange(len(both))
+    rows = np.flatnonzero(moving) if moving.any() else np.arange(len(both.rows))
     geometry = initial_visual_geometry(head, cameras=both.cameras, changed=changed)
     before, seen, findings = geometry.state, 0, list[Finding]()
     task = "self-calibration, frames"
