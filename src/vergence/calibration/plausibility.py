@@ -413,10 +413,7 @@ def _best(evidence: Evidence, table: tuple[Mistake, ...]) -> tuple[str, Evidence
     before = [fit_eye(evidence, views) for views in evidence.eyes]
     tried = []
     for what, other in (each for mistake in table for each in mistake(evidence, before)):
-        after = [
-            fit if _unchanged(evidence, other, k) else fit_eye(other, other.eyes[k])
-            for k, fit in enumerate(before)
-        ]
+        after = [fit_eye(other, views) for views in other.eyes]
         better = _score(before) - _score(after)
         tried.append((better, sum(fit.upright for fit in after), what, other))
     best = max((better for better, *_ in tried), default=0.0)
@@ -426,14 +423,6 @@ def _best(evidence: Evidence, table: tuple[Mistake, ...]) -> tuple[str, Evidence
     upright = max(each[1] for each in tried)
     tried = [each for each in tried if each[1] > upright - UPRIGHT]
     return ", or ".join(dict.fromkeys(what for *_, what, _ in tried)), tried[0][3]
-
-
-def _unchanged(a: Evidence, b: Evidence, k: int) -> bool:
-    """Return whether two evidences are the same for one eye."""
-    used = a.kinematics.used(EYES[a.eyes[k].e])
-    same = a.kinematics is b.kinematics and a.T_base_eye is b.T_base_eye
-    readings = (each.readings[:, used] for each in (a, b))
-    return same and a.eyes[k] is b.eyes[k] and np.array_equal(*readings, equal_nan=True)
 
 
 def _score(fits: list[TurnFit]) -> float:

@@ -16,7 +16,6 @@ from vergence.estimation.variables import Variables
 from vergence.findings import Finding, void, warning
 from vergence.geometry.head import parameter_names
 from vergence.geometry.kinematics import EYES, Side
-from vergence.geometry.lens import COEFFICIENTS
 from vergence.geometry.se3 import rotvec
 
 FEW = 6
@@ -94,18 +93,9 @@ def little_turned(turned: Mapping[str, Array], eyes: Mapping[str, Side]) -> Iter
 def unobservable(of: Outcome) -> Iterator[Finding]:
     """Name the parameters that the data do not determine, and the motion that is missing."""
     parameters = parameter_names(of.found.x["head"])
-    cameras = of.problem.measured.detections.cameras
     names = [n.removeprefix("camera.").rpartition(".") for n in parameters]
     owner = [before or after for before, _, after in names]
     word = [_WORDS.get(after, after) if before else "" for before, _, after in names]
-    # Numerator and denominator of a rational lens nearly cancel; what that leaves open is in the
-    # covariance, and in the map of the lens.
-    cancelling = {
-        f"{camera}.{name}"
-        for camera in cameras
-        if f"{camera}.k6" in parameters
-        for name in COEFFICIENTS["rational"]
-    }
     for what, rows in (
         ("not observable, and left at the start", of.found.observability.fixed),
         ("poorly observable", of.found.observability.weak),
@@ -113,8 +103,6 @@ def unobservable(of: Outcome) -> Iterator[Finding]:
         merged: dict[tuple[str, ...], set[int]] = {}
         for row in _sparse(rows):
             large = np.flatnonzero(np.abs(row) > NAMED * np.abs(row).max()).tolist()
-            if all(parameters[i] in cancelling for i in large):
-                continue
             merged.setdefault(tuple(dict.fromkeys(owner[i] for i in large)), set()).update(large)
         for owners, large in merged.items():
             parts = {o: [word[i] for i in sorted(large) if owner[i] == o] for o in owners}
