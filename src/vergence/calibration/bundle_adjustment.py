@@ -33,7 +33,6 @@ from vergence.calibration.pose_errors import SmoothErrors
 from vergence.calibration.readings import PLAY, SMOOTH
 from vergence.calibration.residuals import Reprojection
 from vergence.calibration.systematic_errors import systematic_errors
-from vergence.calibration.undetermined import about_one_axis
 from vergence.errors import VergenceError
 from vergence.estimation.adjustment import Adjustment, adjust
 from vergence.estimation.linear import cholesky, eliminate
@@ -236,12 +235,7 @@ def bundle_adjust(
         problem = apart
         levels += motion_levels([noise.levels[TURNS], noise.levels[SHIFTS]], given=True)
     solve = partial(adjust, outlier=noise.outlier)
-    try:
-        found = solve((*problem.residuals, *priors), problem.start, levels)
-    except VergenceError:
-        for lacking in about_one_axis(problem.measured.detections, problem.start):
-            raise VergenceError(lacking.sentence) from None
-        raise
+    found = solve((*problem.residuals, *priors), problem.start, levels)
     if given is None and not noise.levels and (apart := moved_boards(problem, found)) is not None:
         problem = apart
         levels += motion_levels(FIRST_MOTION, given=False)
