@@ -64,6 +64,11 @@ MEASURING_M = 0.02
 millimetre, determine lengths better than a printed board does."""
 
 
+CONTRADICTS, ALIKE_M, ALIKE_PX = 10.0, 1e-3, 1.0
+"""Multiple of the median distance, of boards and of corners, from which a view contradicts others,
+and distances that contradict nothing: those of single images, and of starts that are good."""
+
+
 @dataclass(frozen=True, eq=False)
 class BundleProblem:
     """What a bundle adjustment estimates, and from what."""
@@ -76,7 +81,7 @@ class BundleProblem:
     placements: np.ndarray
     """(P,) the numbers of the boards' placements."""
     contradicting: np.ndarray
-    """(C, V) of bool: images left out, before which others would place boards behind the camera."""
+    """(C, V) of bool: images left out, since no turn of the eye puts the board where others do."""
 
     @property
     def measures_eyes(self) -> bool:
@@ -275,9 +280,11 @@ def _measures_lengths(T_base_eye: Array | None) -> bool:
 def _place_boards(
     measured: Reprojection | TargetPoses, x: Variables, T_cam_target: Array
 ) -> tuple[Variables, np.ndarray]:
-    """Start each board where its best view puts it.
+    """Start each board where its best view puts it, and find (M,) the views that contradict this.
 
-    Also finds (M,) the images that this leaves without errors, as where it is behind the camera.
+    A wrong reading turns the eye, which the adjustment finds out. What no turn of the eye explains
+    is a wrong image, as one of another moment, turned, or numbered from the wrong end. Where it is
+    not the smaller part of the views of a placement, all of them are wrong.
     """
     detections, head, P = measured.detections, x["head"], len(x["boards"])
     mounts = np.stack([mounted.T_eye_cam for mounted in head.cameras.values()])
@@ -292,7 +299,7 @@ def _place_boards(
             f"A board whose place is to be found needs {LEAST_CORNERS} corners in one image, not "
             "all on one line."
         )
-    best, lowest = x["boards"], np.full(P, np.inf)
+    best, lowest, chosen = x["boards"], np.full(P, np.inf), np.zeros(P, np.intp)
     for k in range(CANDIDATES):
         # Spread over the views, so that one bad stretch cannot be all there is to choose from.
         offer = np.array([offer[k * len(offer) // CANDIDATES] for offer in offers])
@@ -300,10 +307,30 @@ def _place_boards(
         lengths = np.linalg.norm(errors.reshape(len(errors), -1, measured.together), axis=-1)
         votes = np.minimum(np.nan_to_num(lengths, nan=np.inf), FAR).sum(axis=1)
         total = np.bincount(detections.board, votes, P)
-        best = np.where((total < lowest)[:, None, None], found[offer], best)
-        lowest = np.minimum(lowest, total)
+        better = total < lowest
+        best = np.where(better[:, None, None], found[offer], best)
+        chosen, lowest = np.where(better, offer, chosen), np.minimum(lowest, total)
     x = _with_boards(x, best)
-    return x, ~np.isfinite(measured.error(x)).all(axis=1)
+    # How far from the centre of the eye's motion, or of a measured eye, the other pose puts it.
+    T_moved = T_base_lbase @ found @ inverse(T_base_lbase @ best[detections.board])
+    if detections.postures.T_base_eye_read is not None:
+        T_base_eye = detections.eye_poses(x)
+        T_moved = inverse(T_base_eye) @ T_moved @ T_base_eye
+    moved_m = np.linalg.norm(T_moved[:, :3, 3], axis=1)
+    errors = measured.error(x)
+    # The pose by a few corners may put the others behind the camera.
+    wrong = ~np.isfinite(errors).all(axis=1)
+    others = np.setdiff1d(np.flatnonzero(known & ~wrong), chosen)
+    if len(others):
+        far = moved_m > max(CONTRADICTS * np.median(moved_m[others]), ALIKE_M)
+        if isinstance(measured, Reprojection):
+            sizes = np.linalg.norm(errors.reshape(*measured.seen.shape, 2), axis=-1)
+            off_px = np.nanmedian(np.where(measured.seen, sizes, np.nan), axis=1)
+            far &= off_px > max(CONTRADICTS * np.median(off_px[others]), ALIKE_PX)
+        wrong |= far
+    counts = [np.bincount(detections.board, each, P) for each in (wrong, ~wrong)]
+    outvoted = (counts[0] > 0) & (counts[0] >= counts[1])
+    return x, wrong | outvoted[detections.board]
 
 
 def _with_boards(x: Variables, T: Array) -> Variables:
