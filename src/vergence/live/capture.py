@@ -20,7 +20,7 @@ from vergence.gaze.commands import JointLimits
 from vergence.geometry.board import corner_points
 from vergence.geometry.head import HeadCalibration, main_cameras
 from vergence.geometry.se3 import angle, known_poses
-from vergence.live.estimate import Estimate
+from vergence.live.estimate import LEAST_SEEN, Estimate
 from vergence.live.guide import (
     Outlook,
     View,
@@ -123,12 +123,14 @@ class CaptureState:
     """Time since which the present one is asked for."""
     rounds: int = 0
     """How often views were drawn without a plan."""
+    for_camera: str = ""
+    """Camera that has shown the board too seldom, for which they were drawn; empty: for all."""
     kept: tuple[Kept, ...] = ()
     watched: Watched = field(default_factory=Watched)
     judged_s: float = -np.inf
     """Since when the board has stood in the latest place that was judged."""
-    all_cameras: bool = False
-    """Whether the next frame is to be kept, with the images of all cameras."""
+    to_keep: bool = False
+    """Whether the next frame is to be kept."""
     T_lbase_board: Array | None = None
     """(4, 4) where the board is now; None: not seen."""
     estimate: Estimate | None = None
@@ -139,6 +141,11 @@ class CaptureState:
     sweep: Sweep | None = None
     finished: str = ""
     """Why the capture has ended; empty: it goes on."""
+
+    @property
+    def all_cameras(self) -> bool:
+        """Whether images of all cameras are needed next, and not of the main ones only."""
+        return self.to_keep or bool(self.for_camera)
 
     @property
     def views(self) -> int:
@@ -163,26 +170,27 @@ def _ask(settings: CaptureSettings, state: CaptureState, now_s: float) -> Captur
     """Ask for the next view: of the plan or, without one, of those that were drawn."""
     if state.outlook is not None and not _missing(settings, state):
         view, best_m = next_view(state.outlook)
-        return replace(state, asked=(view,), asked_s=now_s, best_m=best_m)
-    views, rounds = state.asked[1:], state.rounds
-    if not views:
-        description, limits_rad = settings.description, settings.limits_rad
-        missing, seed = _missing(settings, state), settings.seed + rounds
-        if rounds and missing:
-            camera = missing[rounds % len(missing)]
-            views = views_of_camera(state.head, description, camera, limits_rad, seed=seed)
-        else:
-            views = first_views(description, limits_rad, seed=seed)
-        rounds += 1
-    return replace(state, asked=views, asked_s=now_s, rounds=rounds)
+        return replace(state, asked=(view,), asked_s=now_s, best_m=best_m, for_camera="")
+    views, missing, camera = state.asked[1:], _missing(settings, state), state.for_camera
+    if views and (not camera or camera in missing):
+        return replace(state, asked=views, asked_s=now_s)
+    description, limits_rad = settings.description, settings.limits_rad
+    seed = settings.seed + state.rounds
+    if state.rounds and missing:
+        camera = missing[0]
+        views = views_of_camera(state.head, description, camera, limits_rad, seed=seed)
+    else:
+        camera, views = "", first_views(description, limits_rad, seed=seed)
+    return replace(state, asked=views, asked_s=now_s, rounds=state.rounds + 1, for_camera=camera)
 
 
 def _missing(settings: CaptureSettings, state: CaptureState) -> tuple[str, ...]:
-    """List the cameras that have shown the board too seldom."""
-    if state.estimate is not None and state.estimate.head is not None:
-        return state.estimate.missing
-    main = main_cameras(state.head)
-    return tuple(name for name in settings.description.cameras if name not in main)
+    """List the cameras that have shown the board at rest too seldom."""
+    return tuple(
+        name
+        for name in settings.description.cameras
+        if sum(name in view.corners for view in state.kept if not view.moving) < LEAST_SEEN
+    )
 
 
 def step_capture(
@@ -196,18 +204,18 @@ def step_capture(
     if state.sweep is not None:
         return _step_sweep(state, state.sweep, frame)
     if watched.still_s < STILL_S:
-        state = replace(state, all_cameras=False)
+        state = replace(state, to_keep=False)
         if now_s - state.asked_s > PATIENCE_S:
             if state.outlook is not None:
                 state = replace(state, outlook=without_view(state.outlook, state.asked[0]))
             state = _ask(settings, state, now_s)
         return state, ()
-    if not state.all_cameras:
+    if not state.to_keep:
         if state.judged_s == watched.since_s:
             return state, ()
         worth = _is_worth(settings, state, frame)
-        return replace(state, judged_s=watched.since_s, all_cameras=worth), ()
-    state = replace(state, all_cameras=False)
+        return replace(state, judged_s=watched.since_s, to_keep=worth), ()
+    state = replace(state, to_keep=False)
     if not (corners := detect(frame, board, np.inf)):
         return state, ()
     kept = kept_frame(frame, corners, _placement(settings, state))
@@ -241,7 +249,9 @@ def _located(
 
 def _is_worth(settings: CaptureSettings, state: CaptureState, frame: Frame) -> bool:
     """Judge a view at rest: by what it adds or, without a plan, by whether it is new."""
-    if state.outlook is None or state.T_lbase_board is None or _missing(settings, state):
+    if state.for_camera and state.for_camera not in state.watched.corners:
+        return False
+    if state.outlook is None or state.T_lbase_board is None or state.for_camera:
         return all(_differs(state, frame, view) for view in state.kept if not view.moving)
     placement = _placement(settings, state)
     after = with_view(state.outlook, state.T_lbase_board, frame.eye_angles, placement)

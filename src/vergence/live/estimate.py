@@ -11,7 +11,6 @@ from vergence.accuracy.plan_information import largest_std, total_information
 from vergence.arrays import Array, single_blas_thread
 from vergence.calibration.bundle_adjustment import bundle_adjust
 from vergence.calibration.initial import calibrate_sequentially
-from vergence.calibration.intrinsics import LEAST_VIEWS
 from vergence.calibration.prepared_views import prepare
 from vergence.data.description import Description
 from vergence.errors import VergenceError
@@ -21,6 +20,9 @@ from vergence.live.kept import Kept, observations
 
 CANDIDATES = (24, 8)
 """Places of the board and directions of gaze at each that are tried: they take a second."""
+LEAST_SEEN = 5
+"""Views in which a camera has to show the board at rest: three determine its lens (Zhang), and two
+more leave something to check it by."""
 AHEAD = 6
 """Views by which the gain of going on is predicted."""
 
@@ -61,7 +63,7 @@ def estimate(
     board, rows = board_of(description), len(kept)
     head, missing = None, ()
     try:
-        seen = observations(description, board, kept, least_views=LEAST_VIEWS + 2)
+        seen = observations(description, board, kept, least_views=LEAST_SEEN)
         missing = tuple(name for name in description.cameras if name not in seen.corners)
         views = prepare(seen, "bundle", "radial-tangential")
         at_rest, T_cam_target = views.at_rest

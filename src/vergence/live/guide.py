@@ -37,8 +37,9 @@ FOCAL_PER_WIDTH = 0.7
 degrees, between those of usual lenses."""
 TURNED_PLACES = 8
 """Places of the board at rest that are tried; that where the eyes can turn farthest is shown."""
-LONGER_FOCAL = (2.5, 1.6, 4.0)
-"""Assumed focal lengths of an eye's other cameras, in that of its first, tried in turn."""
+LONGER_FOCAL = (4.0, 2.5, 1.6)
+"""Assumed focal lengths of an eye's other cameras, in that of its first, tried in turn:
+far boards first, which surely fit into the image."""
 BASELINE_M = 0.1
 """Assumed distance of the eyes [m]; heads have 0.06 to 0.3."""
 STRAIGHT_VIEWS, TURNED_VIEWS, OTHER_VIEWS = 8, 10, 2

@@ -33,7 +33,7 @@ def next_step(state: CaptureState) -> str:
         return f"nothing, {state.finished}"
     if state.sweep is not None:
         return "leave the board where it is; the eyes move to and fro"
-    if state.all_cameras:
+    if state.to_keep:
         return "hold still"
     return instruction(state.head, state.asked[0], state.T_lbase_board)
 
@@ -44,6 +44,8 @@ def _missing(settings: CaptureSettings, state: CaptureState) -> str:
         for name, camera in settings.description.cameras.items()
     }
     parts = [f"{name} covered to {100 * part:.0f} %" for name, part in covered.items()]
+    if state.for_camera:
+        parts.insert(0, f"views of {state.for_camera}")
     if state.estimate is not None and state.estimate.problem:
         parts.append(state.estimate.problem)
     return "; ".join(parts)
