@@ -36,7 +36,7 @@ from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import transform
 from vergence.live.capture import CaptureSettings, CaptureState, begin_capture
 from vergence.live.estimate import Estimate, estimate
-from vergence.live.kept import kept_frame
+from vergence.live.kept import Kept
 from vergence.live.session import run_capture
 from vergence.stereo.triangulation import triangulate_at
 
@@ -199,7 +199,7 @@ def at_random(
         readings = head.joints + rng.normal(0, head.noise.joint_rad, head.joints.shape)
         frame = Frame(1e4 + k, 1e4 + k, readings, np.empty(0), {})
         corners = head.detect(frame, BOARD, np.inf)
-        kept = (*kept, kept_frame(frame, corners, 1000 + k))
+        kept = (*kept, Kept(frame, corners, 1000 + k))
         if k % 4 == 3:
             found = estimate(
                 settings.description,

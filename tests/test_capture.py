@@ -206,7 +206,7 @@ def test_frames_that_another_program_writes_are_read_when_they_are_whole(tmp_pat
 
 def test_coverage_counts_cells_with_corners():
     corners = np.array([[10.0, 10.0], [630.0, 470.0], [np.nan, np.nan]])
-    kept = Kept(0.0, 0.0, np.zeros(4), np.empty(0), {"left": corners}, 0)
+    kept = Kept(vg.Frame(0.0, 0.0, np.zeros(4), np.empty(0), {}), {"left": corners}, 0)
     assert coverage((kept,), "left", (640, 480)) == pytest.approx(2 / 48)
     assert coverage((kept,), "right", (640, 480)) == 0.0
 

@@ -133,7 +133,7 @@ def _teller(settings: CaptureSettings) -> Callable[[CaptureState], None]:
         nonlocal said, step, said_s
         # A board that moves changes the words of the next step with each frame.
         reached = len(state.kept), state.estimate is None, state.finished, state.sweep is None
-        late, now = state.watched.time_s > said_s + TELL_S, next_step(state)
+        late, now = state.watched.time_s > said_s + TELL_S, next_step(settings, state)
         if reached != said or (late and now != step):
             print(status(settings, state), file=sys.stderr)
             said, step, said_s = reached, now, state.watched.time_s

@@ -36,7 +36,7 @@ from vergence.live.guide import (
     with_view,
     without_view,
 )
-from vergence.live.kept import Kept, kept_frame
+from vergence.live.kept import Kept
 from vergence.live.stillness import WATCHED_PX, Detect, Watched, find_board, watch
 from vergence.vision.board_pose import board_poses
 
@@ -218,7 +218,7 @@ def step_capture(
     state = replace(state, to_keep=False)
     if not (corners := detect(frame, board, np.inf)):
         return state, ()
-    kept = kept_frame(frame, corners, _placement(settings, state))
+    kept = Kept(replace(frame, images={}), corners, _placement(settings, state))
     state = replace(state, kept=(*state.kept, kept))
     if state.outlook is not None:
         state = replace(state, outlook=_with_views(settings, state, state.outlook, (kept,)))
@@ -229,7 +229,7 @@ def step_capture(
     return state, (DatasetRow(frame, kept.placement),)
 
 
-def posture_of(frame: Frame | Kept) -> Array:
+def posture_of(frame: Frame) -> Array:
     """Read the posture (j,) [rad]: neck, then eyes."""
     return np.concatenate([frame.neck_angles, frame.eye_angles])
 
@@ -252,28 +252,24 @@ def _is_worth(settings: CaptureSettings, state: CaptureState, frame: Frame) -> b
     if state.for_camera and state.for_camera not in state.watched.corners:
         return False
     if state.outlook is None or state.T_lbase_board is None or state.for_camera:
-        return all(_differs(state, frame, view) for view in state.kept if not view.moving)
+        return all(_differs(settings, state, frame, view) for view in state.kept if not view.moving)
     placement = _placement(settings, state)
     after = with_view(state.outlook, state.T_lbase_board, frame.eye_angles, placement)
     now_m = mean_deviation_m(state.outlook)
     return now_m - mean_deviation_m(after) > WORTH * (now_m - state.best_m)
 
 
-def _differs(state: CaptureState, frame: Frame, view: Kept) -> bool:
+def _differs(settings: CaptureSettings, state: CaptureState, frame: Frame, view: Kept) -> bool:
     """Check whether the eyes have turned, or the board has moved, since a view."""
-    if (np.abs(posture_of(frame) - posture_of(view)) > NEW_RAD).any():
+    if (np.abs(posture_of(frame) - posture_of(view.frame)) > NEW_RAD).any():
         return True
     for name in state.watched.corners.keys() & view.corners.keys():
         moved_px = np.linalg.norm(state.watched.corners[name] - view.corners[name], axis=1)
-        moved_px, width = moved_px[np.isfinite(moved_px)], frame_width(state, name)
+        moved_px = moved_px[np.isfinite(moved_px)]
+        width = settings.description.cameras[name].width
         if len(moved_px) and np.median(moved_px) < NEW_PER_WIDTH * width:
             return False
     return True
-
-
-def frame_width(state: CaptureState, camera: str) -> int:
-    """Look up the width of a camera's images [px]."""
-    return state.head.camera(camera).intrinsics.width
 
 
 def _placement(settings: CaptureSettings, state: CaptureState) -> int:
@@ -283,7 +279,7 @@ def _placement(settings: CaptureSettings, state: CaptureState) -> int:
     last, now = state.kept[-1], state.T_lbase_board
     stays = state.asked[0].board_stays
     if stays and state.outlook is not None and now is not None:
-        before = _located(settings, state.head, last.corners, last.eye_angles)
+        before = _located(settings, state.head, last.corners, last.frame.eye_angles)
         if before is not None:
             stays = float(np.linalg.norm(now[:3, 3] - before[:3, 3])) < MOVED_M
             stays = stays and float(angle(before[:3, :3].T @ now[:3, :3])) < TURNED_RAD
@@ -295,9 +291,9 @@ def _with_views(
 ) -> Outlook:
     """Add views to an outlook, by where the present head sees the board in them."""
     for view in views:
-        T = _located(settings, state.head, view.corners, view.eye_angles)
+        T = _located(settings, state.head, view.corners, view.frame.eye_angles)
         if T is not None and not view.moving:
-            outlook = with_view(outlook, T, view.eye_angles, view.placement)
+            outlook = with_view(outlook, T, view.frame.eye_angles, view.placement)
     return outlook
 
 
@@ -311,7 +307,7 @@ def _step_sweep(
             # Copies, since a driver may write its next images into the same arrays.
             copied = replace(frame, images={n: np.array(im) for n, im in frame.images.items()})
             place = state.kept[-1].placement
-            view = kept_frame(frame, state.watched.corners, place, moving=True)
+            view = Kept(replace(frame, images={}), state.watched.corners, place, moving=True)
             sweep = replace(sweep, rows=(*sweep.rows, (DatasetRow(copied, place, True), view)))
         return replace(state, sweep=sweep), ()
     state = replace(state, sweep=None, asked_s=frame.time_s)

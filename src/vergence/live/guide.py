@@ -280,7 +280,7 @@ def outlines(head: HeadCalibration, board: Board, T_lbase_target: Array, joints:
 def instruction(head: HeadCalibration, view: View, T_lbase_now: Array | None) -> str:
     """Describe in words how the board gets to a view, from where it is seen now."""
     if view.board_stays:
-        return "leave the board where it is; the eyes turn"
+        return "leave the board where it is, and let the eyes turn"
     if T_lbase_now is None:
         x, y, z = transform(base_pose(head, "left"), view.T_lbase_target[:3, 3])
         return f"show the board {100 * x:.0f} cm ahead, {_aside(y)}, {_above(z)}"

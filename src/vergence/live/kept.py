@@ -21,41 +21,28 @@ from vergence.vision.board_pose import seen_corners
 class Kept:
     """A view that was kept."""
 
-    time_s: float
-    joint_time_s: float
-    eye_angles: Array
-    """(r,) [rad]."""
-    neck_angles: Array
-    """(n,) [rad]."""
+    frame: Frame
+    """Without images."""
     corners: Mapping[str, Array]
     """By camera that saw the board (K, 2) [px], NaN where not seen."""
     placement: int
     moving: bool = False
 
 
-def kept_frame(
-    frame: Frame, corners: Mapping[str, Array], placement: int, *, moving: bool = False
-) -> Kept:
-    """Keep what a frame shows of the board."""
-    angles = np.array(frame.eye_angles, float), np.array(frame.neck_angles, float)
-    return Kept(frame.time_s, frame.joint_time_s, *angles, corners, placement, moving)
-
-
 def kept_in(dataset: Dataset) -> tuple[Kept, ...]:
     """Find the board again in the images of a dataset; VergenceError as of `detect_target`."""
-    found = detect_target(dataset)
-    return tuple(
-        Kept(
+    corners, kept = detect_target(dataset).corners, []
+    for row in range(len(dataset)):
+        frame = Frame(
             float(dataset.time_s[row]),
             float(dataset.joint_time_s[row]),
             dataset.eye_angles[row],
             dataset.neck_angles[row],
-            {name: c[row] for name, c in found.corners.items() if seen_corners(c[row]).any()},
-            int(dataset.placement[row]),
-            bool(dataset.moving[row]),
+            {},
         )
-        for row in range(len(dataset))
-    )
+        seen = {name: c[row] for name, c in corners.items() if seen_corners(c[row]).any()}
+        kept.append(Kept(frame, seen, int(dataset.placement[row]), bool(dataset.moving[row])))
+    return tuple(kept)
 
 
 def observations(
@@ -72,11 +59,11 @@ def observations(
     timing = None
     if len(at_rest) < len(kept):
         run = np.array([view.moving for view in kept], int)  # one sweep is all that moves
-        timing = Timing(np.array([view.joint_time_s for view in kept]), run)
+        timing = Timing(np.array([view.frame.joint_time_s for view in kept]), run)
     return Observations(
         board=board,
         placement=np.array([view.placement for view in kept]),
-        eye_angles=np.array([view.eye_angles for view in kept]),
+        eye_angles=np.array([view.frame.eye_angles for view in kept]),
         corners={
             name: np.array([view.corners.get(name, nothing) for view in kept]) for name in cameras
         },

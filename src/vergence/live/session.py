@@ -53,7 +53,7 @@ def run_capture(
     began anew, frames are moved behind the rows that were kept before.
     """
     every, main = tuple(settings.description.cameras), main_cameras(state.head)
-    kept_s = max((view.time_s for view in state.kept), default=-np.inf)
+    kept_s = max((view.frame.time_s for view in state.kept), default=-np.inf)
     last_s, shift_s = -np.inf, None
     command: HeadCommand | None = None
     with pool or ThreadPoolExecutor(1) as pool:

@@ -8,6 +8,8 @@ from vergence.live.capture import CaptureSettings, CaptureState
 from vergence.live.guide import instruction
 from vergence.live.kept import Kept
 
+TURN_DEG = 2.0
+"""Turn that is asked for of an eye that takes no commands [degrees]: smaller ones bring as much."""
 CELLS = (8, 6)
 """Columns and rows of the cells by which the coverage of an image is counted."""
 
@@ -20,14 +22,14 @@ def status(settings: CaptureSettings, state: CaptureState) -> str:
     lines = [
         f"{state.views} views; points at {settings.distance_m:g} m: {reached}, wanted "
         f"{goal_mm:g} mm",
-        f"next: {next_step(state)}",
+        f"next: {next_step(settings, state)}",
     ]
     if missing := _missing(settings, state):
         lines.append(f"missing: {missing}")
     return "\n".join(lines)
 
 
-def next_step(state: CaptureState) -> str:
+def next_step(settings: CaptureSettings, state: CaptureState) -> str:
     """Say what the person does next."""
     if state.finished:
         return f"nothing, {state.finished}"
@@ -35,7 +37,18 @@ def next_step(state: CaptureState) -> str:
         return "leave the board where it is; the eyes move to and fro"
     if state.to_keep:
         return "hold still"
-    return instruction(state.head, state.asked[0], state.T_lbase_board)
+    told, wanted = (
+        instruction(state.head, state.asked[0], state.T_lbase_board),
+        state.asked[0].joints,
+    )
+    if settings.limits is not None or len(state.watched.readings) < len(wanted):
+        return told
+    turns = np.degrees(wanted - state.watched.readings[-len(wanted) :]) if len(wanted) else wanted
+    names = settings.description.head_kinematics.readings
+    far = [
+        f"{n} by {turn:+.0f}" for n, turn in zip(names, turns, strict=True) if abs(turn) > TURN_DEG
+    ]
+    return f"{told}; turn {', '.join(far)} degrees" if far else told
 
 
 def _missing(settings: CaptureSettings, state: CaptureState) -> str:
