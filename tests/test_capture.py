@@ -100,8 +100,11 @@ def test_a_frame_is_kept_when_board_and_eyes_have_stood_still_and_never_twice():
     head, settings = simulated(0, GOAL_M)
     state = begin_capture(settings)
     head.person.ask(state.asked[0].T_lbase_target, False, 0.0)
-    state = run(head, replace(settings, limits=None), look=lambda *_: None, until_s=60.0)
+    asked = set()
+    bare = replace(settings, limits=None)
+    state = run(head, bare, look=lambda now, _: asked.add(id(now.asked[0])), until_s=60.0)
     assert state.views == 1
+    assert len(asked) >= 3  # another view is asked for after a while
 
 
 def test_capture_goes_on_from_a_dataset_though_the_clock_began_anew(tmp_path):

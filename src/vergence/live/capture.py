@@ -178,7 +178,14 @@ def _ask(settings: CaptureSettings, state: CaptureState, now_s: float) -> Captur
     seed = settings.seed + state.rounds
     if state.rounds and missing:
         camera = missing[0]
-        views = views_of_camera(state.head, description, camera, limits_rad, seed=seed)
+        views = views_of_camera(
+            state.head,
+            description,
+            camera,
+            limits_rad,
+            seed=seed,
+            focal_px=_rough_focal_px(settings, state, camera),
+        )
     else:
         camera, views = "", first_views(description, limits_rad, seed=seed)
     return replace(state, asked=views, asked_s=now_s, rounds=state.rounds + 1, for_camera=camera)
@@ -193,6 +200,21 @@ def _missing(settings: CaptureSettings, state: CaptureState) -> tuple[str, ...]:
     )
 
 
+def _rough_focal_px(settings: CaptureSettings, state: CaptureState, camera: str) -> float | None:
+    """Estimate a focal length by the size of a board that a main camera has located; None: none.
+
+    Slant makes it up to a third too short.
+    """
+    points = corner_points(board_of(settings.description))
+    for view in state.kept:
+        T = _located(settings, state.head, view.corners, view.frame.eye_angles)
+        if camera in view.corners and T is not None:
+            seen = np.isfinite(view.corners[camera]).all(axis=1)
+            size_px = np.linalg.norm(np.ptp(view.corners[camera][seen], axis=0))
+            return float(size_px * T[0, 3] / np.linalg.norm(np.ptp(points[seen], axis=0)))
+    return None
+
+
 def step_capture(
     settings: CaptureSettings, state: CaptureState, frame: Frame, detect: Detect = find_board
 ) -> tuple[CaptureState, tuple[DatasetRow, ...]]:
@@ -203,18 +225,17 @@ def step_capture(
     state = replace(state, watched=watched, T_lbase_board=place, asked_s=min(state.asked_s, now_s))
     if state.sweep is not None:
         return _step_sweep(state, state.sweep, frame)
-    if watched.still_s < STILL_S:
+    still = watched.still_s >= STILL_S
+    if still and not state.to_keep and state.judged_s != watched.since_s:
+        worth = _is_worth(settings, state, frame)
+        return replace(state, judged_s=watched.since_s, to_keep=worth), ()
+    if not (still and state.to_keep):
         state = replace(state, to_keep=False)
         if now_s - state.asked_s > PATIENCE_S:
             if state.outlook is not None:
                 state = replace(state, outlook=without_view(state.outlook, state.asked[0]))
             state = _ask(settings, state, now_s)
         return state, ()
-    if not state.to_keep:
-        if state.judged_s == watched.since_s:
-            return state, ()
-        worth = _is_worth(settings, state, frame)
-        return replace(state, judged_s=watched.since_s, to_keep=worth), ()
     state = replace(state, to_keep=False)
     if not (corners := detect(frame, board, np.inf)):
         return state, ()

@@ -37,9 +37,9 @@ FOCAL_PER_WIDTH = 0.7
 degrees, between those of usual lenses."""
 TURNED_PLACES = 8
 """Places of the board at rest that are tried; that where the eyes can turn farthest is shown."""
-LONGER_FOCAL = (4.0, 2.5, 1.6)
-"""Assumed focal lengths of an eye's other cameras, in that of its first, tried in turn:
-far boards first, which surely fit into the image."""
+LONGER_FOCAL = (6.0, 4.0, 2.5)
+"""Assumed focal lengths of an eye's other cameras, in that of its first, tried in turn: far boards
+first, which surely fit into the image. This project's narrow lenses have 3 to 6."""
 BASELINE_M = 0.1
 """Assumed distance of the eyes [m]; heads have 0.06 to 0.3."""
 STRAIGHT_VIEWS, TURNED_VIEWS, OTHER_VIEWS = 8, 10, 2
@@ -107,25 +107,27 @@ def views_of_camera(
     limits_rad: Array,
     *,
     seed: int,
+    focal_px: float | None = None,
 ) -> tuple[View, ...]:
-    """Draw views for a camera that has none yet, and whose field of view is not known.
+    """Draw views for a camera that has shown the board too seldom.
 
-    It is assumed where the head has the main camera of its eye.
+    It is assumed where the head has the main camera of its eye. Its focal length is assumed, too,
+    where none is given.
     """
     rng, views, assumed = np.random.default_rng([seed, 2]), [], assumed_head(description)
-    eye = description.cameras[camera].eye
-    main = main_camera(lenses_of(head, eye))
-    for longer in LONGER_FOCAL:
-        lens = _lens(description.cameras[camera], longer * _focal_per_width(head, main))
-        placed = MountedCamera(eye, lens, head.camera(main).T_eye_cam)
+    stated, T_eye_cam = description.cameras[camera], pose(R_EYE_CAM)
+    focal = [longer * FOCAL_PER_WIDTH for longer in LONGER_FOCAL]
+    if any(mounted.eye == stated.eye for mounted in head.cameras.values()):
+        main = head.camera(main_camera(lenses_of(head, stated.eye)))
+        T_eye_cam, lens = main.T_eye_cam, main.intrinsics
+        focal = [longer * float(lens.matrix[0, 0]) / lens.width for longer in LONGER_FOCAL]
+    if focal_px is not None:
+        focal = [focal_px / stated.width] * len(LONGER_FOCAL)
+    for focal_per_width in focal:
+        placed = MountedCamera(stated.eye, _lens(stated, focal_per_width), T_eye_cam)
         alone = replace(assumed, cameras={camera: placed}, T_rbase_lbase=head.T_rbase_lbase)
         views += _straight(alone, description, limits_rad, rng, OTHER_VIEWS)
     return tuple(views)
-
-
-def _focal_per_width(head: HeadCalibration, camera: str) -> float:
-    lens = head.camera(camera).intrinsics
-    return float(lens.matrix[0, 0]) / lens.width
 
 
 def _lens(camera: DatasetCamera, focal_per_width: float) -> Camera:
