@@ -93,11 +93,11 @@ def _ros_message(each: Message, types: dict[str, Any], *, ros1: bool) -> Any:
         matrices = (matrix.ravel() for matrix in (K, np.eye(3), P))
         fields = header(frame), content.height, content.width, *lens, *matrices, 0, 0, whole
         return make("sensor_msgs/CameraInfo", *fields)
-    found = []
+    transforms = []
     for frame_pose in content:
         q = Rotation.from_matrix(frame_pose.T_parent_child[:3, :3]).as_quat().tolist()
         t = make("geometry_msgs/Vector3", *frame_pose.T_parent_child[:3, 3].tolist())
         transform = make("geometry_msgs/Transform", t, make("geometry_msgs/Quaternion", *q))
         fields = header(frame_pose.parent), frame_pose.child, transform
-        found.append(make("geometry_msgs/TransformStamped", *fields))
-    return types["tf2_msgs/msg/TFMessage"](found)
+        transforms.append(make("geometry_msgs/TransformStamped", *fields))
+    return types["tf2_msgs/msg/TFMessage"](transforms)

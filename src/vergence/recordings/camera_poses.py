@@ -75,12 +75,12 @@ def dataset_poses(
     """
     check_fits(dataset.description, head, dataset.folder, dataset.files)
     joints = readings_at_images(dataset, head)
-    stamp_ns, found = np.round(dataset.time_s * 1e9).astype(np.int64), []
+    stamp_ns, poses = np.round(dataset.time_s * 1e9).astype(np.int64), []
     for name, files in dataset.files.items():
         rows = np.flatnonzero([file is not None for file in files])
         taken = np.array(files)[rows], rows, stamp_ns[rows]
-        found.append(_poses(head, name, taken, joints[rows], progress))
-    return found
+        poses.append(_poses(head, name, taken, joints[rows], progress))
+    return poses
 
 
 def recording_poses(
@@ -96,15 +96,15 @@ def recording_poses(
     VergenceError if its cameras or readings are not those of the head.
     """
     check_fits(description, head, "the recording", mapped.cameras)
-    found = []
+    poses = []
     for name, source in mapped.cameras.items():
         stamp_ns = scanned.images[source.images].stamp_ns
         at_ns = stamp_ns + round(head.time_offset_s * 1e9)
         eye_angles, _, T_base_eye = postures(scanned, mapped, description, at_ns)
         joints = eye_angles if T_base_eye is None else T_base_eye
         taken = np.full(len(at_ns), source.images), np.arange(len(at_ns)), stamp_ns
-        found.append(_poses(head, name, taken, joints, progress))
-    return found
+        poses.append(_poses(head, name, taken, joints, progress))
+    return poses
 
 
 def _poses(

@@ -64,15 +64,15 @@ def _cameras(scanned: Scan) -> dict[str, tuple[str, str]]:
         if "no" not in _read_name(channel):
             groups.setdefault(_camera_of(channel), []).append(channel)
     # As the sensor sees, not rectified, and not compressed where there is both.
-    chosen = [min(each, key=lambda name: ("rect" in name, len(name))) for each in groups.values()]
+    chosen = [min(names, key=lambda name: ("rect" in name, len(name))) for names in groups.values()]
     sides = {name: side for name in chosen for side in EYES if side in _read_name(name)}
     reason = "sure: by its name" if sides else "guess: by the order of names"
-    found = {}
+    cameras = {}
     for channel, side in (sides or dict(zip(chosen, EYES, strict=False))).items():
         name = f"{side}_{'narrow' if 'narrow' in _read_name(channel) else 'wide'}"
-        same = sum(other.startswith(name) for other in found)
-        found[f"{name}_{same + 1}" if same else name] = channel, reason
-    return found or {"left_wide": (UNKNOWN, "guess")}
+        same = sum(other.startswith(name) for other in cameras)
+        cameras[f"{name}_{same + 1}" if same else name] = channel, reason
+    return cameras or {"left_wide": (UNKNOWN, "guess")}
 
 
 def _camera_of(channel: str) -> str:

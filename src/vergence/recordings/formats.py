@@ -47,6 +47,6 @@ def open_recording(path: Path | str, *, stamps: Stamps = "header") -> Iterator[R
 
 def _as_received(recording: Recording) -> Recording:
     def read(*asked: Any) -> Iterator[Message]:
-        return (replace(each, stamp_ns=each.received_ns) for each in recording.read(*asked))
+        return (replace(m, stamp_ns=m.received_ns) for m in recording.read(*asked))
 
     return replace(recording, read=read)

@@ -116,15 +116,15 @@ def _corners(
     board: Board, cameras: Iterable[str], images_of: _ImagesOf, rows: np.ndarray, progress: Progress
 ) -> dict[str, Array]:
     """Find the board in the images of chosen frames: by camera (F, K, 2), NaN where not seen."""
-    found = {name: np.full((len(rows), board.columns * board.rows, 2), np.nan) for name in cameras}
+    pixels = {name: np.full((len(rows), board.columns * board.rows, 2), np.nan) for name in cameras}
     with ThreadPoolExecutor() as pool:
         for k, images in enumerate(images_of(rows)):
             greys = map(to_8_bits, images.values())
             corners = pool.map(detect_board, greys, repeat(board))
-            for name, seen in zip(images, corners, strict=True):
-                found[name][k] = np.nan if seen is None else seen
+            for name, uv in zip(images, corners, strict=True):
+                pixels[name][k] = np.nan if uv is None else uv
             progress("finding the board", k + 1, len(rows))
-    return found
+    return pixels
 
 
 def _write_stream(

@@ -87,19 +87,19 @@ def scan_mapped(
     VergenceError if the recording is damaged, or does not have what the map names.
     """
     sources = mapped.cameras.values()
-    needed = [(each.images, "images") for each in sources]
-    needed += [(each.lens, "lens") for each in sources if each.lens]
+    needed = [(source.images, "images") for source in sources]
+    needed += [(source.lens, "lens") for source in sources if source.lens]
     for name, kind in needed:
         channel = recording.channels.get(name)
         if channel is None or channel.kind != kind or not channel.count:
-            has = ", ".join(n for n, each in recording.channels.items() if each.kind == kind)
+            has = ", ".join(n for n, other in recording.channels.items() if other.kind == kind)
             raise VergenceError(
                 f"{recording.path} has no {kind} in a channel {name}, which the map names; "
                 f"channels of that kind are {has or 'missing'}."
             )
     channels = [name for name, _ in needed]
     kinds = ("joints", "poses") if mapped.poses else ("joints",)
-    channels += [name for name, each in recording.channels.items() if each.kind in kinds]
+    channels += [name for name, other in recording.channels.items() if other.kind in kinds]
     scanned = scan(recording, channels, progress=progress)
     try:
         return scanned, describe(mapped, scanned.sizes, scanned.lenses)
@@ -146,9 +146,9 @@ def check_moments(
 
     VergenceError if stamps stand still, no image has readings, or these cannot be radians.
     """
-    images = {each.images: scanned.images[each.images] for each in mapped.cameras.values()}
+    images = {source.images: scanned.images[source.images] for source in mapped.cameras.values()}
     sources = description.sources.values()
-    joints = {each.column: joint_track(scanned, each.column) for each in sources}
+    joints = {source.column: joint_track(scanned, source.column) for source in sources}
     findings = []
     for name, track in (images | joints).items():
         steps = np.diff(track.stamp_ns)

@@ -46,17 +46,17 @@ def joint_track(scanned: Scan, column: str) -> Track:
 
     VergenceError unless there is exactly one.
     """
-    found = {
+    tracks = {
         f"{channel}:{name}": track
         for (channel, name), track in scanned.joints.items()
         if column in (name, f"{channel}:{name}")
     }
-    if len(found) != 1:
+    if len(tracks) != 1:
         raise VergenceError(
-            f"The map names a joint {column!r}; the recording has {', '.join(found) or 'none'} of "
+            f"The map names a joint {column!r}; the recording has {', '.join(tracks) or 'none'} of "
             "that name."
         )
-    return next(iter(found.values()))
+    return next(iter(tracks.values()))
 
 
 def interpolate(track: Track, at_ns: np.ndarray, *, max_gap_s: float) -> Array:
@@ -70,13 +70,13 @@ def interpolate(track: Track, at_ns: np.ndarray, *, max_gap_s: float) -> Array:
     part = (at_ns - stamps[after - 1]) / gap_ns
     last, next_ = values[after - 1], values[after]
     if values.ndim == 1:
-        found = last + part * (next_ - last)
+        read = last + part * (next_ - last)
     else:
-        found = boxplus(last, part[:, None] * boxminus(next_, last))
+        read = boxplus(last, part[:, None] * boxminus(next_, last))
     inside = (part >= 0) & (part <= 1)
     inside &= (gap_ns <= max_gap_s * 1e9) | (part == 0) | (part == 1)
-    found[~inside] = np.nan
-    return found
+    read[~inside] = np.nan
+    return read
 
 
 def _eye_poses(scanned: Scan, mapped: RecordingMap, at_ns: np.ndarray) -> Array:

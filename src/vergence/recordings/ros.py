@@ -204,14 +204,14 @@ def _content(message: Any, type_name: str) -> Content:
 
 
 def _poses(transforms: list[Any]) -> tuple[FramePose, ...]:
-    found = []
-    for each in transforms:
-        t, q = each.transform.translation, each.transform.rotation
+    poses = []
+    for tf in transforms:
+        t, q = tf.transform.translation, tf.transform.rotation
         if not abs(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w - 1) < 0.1:
             raise ValueError("the norm of a quaternion is not 1")
         T = pose(Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix(), [t.x, t.y, t.z])
-        found.append(FramePose(each.header.frame_id.strip("/"), each.child_frame_id.strip("/"), T))
-    return tuple(found)
+        poses.append(FramePose(tf.header.frame_id.strip("/"), tf.child_frame_id.strip("/"), T))
+    return tuple(poses)
 
 
 def raw_image(message: Any) -> np.ndarray:

@@ -82,12 +82,12 @@ def _channels(root: Path, files: Iterable[Path], stack: ExitStack) -> Iterator[S
             yield Series(f"{name}/{column}", "images", f"times in {unit}", stamps[rows], content)
     for name, shown in images.items():
         of_name = re.compile(re.escape(name) + _STAMPS)
-        own = next((n for n in tables if of_name.fullmatch(n) and not tables[n][3]), None)
+        of_stamps = next((n for n in tables if of_name.fullmatch(n) and not tables[n][3]), None)
         is_video = shown[0].lower().endswith(VIDEO_SUFFIXES)
         try:
-            if own is None and is_video:
+            if of_stamps is None and is_video:
                 raise VergenceError(f"a csv of its stamps is missing, such as {name}.csv")
-            unit, stamps = tables.pop(own)[:2] if own else _stamps_in(shown)
+            unit, stamps = tables.pop(of_stamps)[:2] if of_stamps else _stamps_in(shown)
         except VergenceError as error:
             yield series.unused(name, f"without stamps: {error}")
             continue
@@ -109,8 +109,8 @@ def _channels(root: Path, files: Iterable[Path], stack: ExitStack) -> Iterator[S
 
 def _paths(root: Path, name: str, files: list[str]) -> list[str]:
     """Find the files that a csv names, in its folder or, as for data.csv, in one of its name."""
-    own = bool(files) and os.path.isfile(root / name / files[0])
-    base = name if own else posixpath.dirname(name)
+    in_folder = bool(files) and os.path.isfile(root / name / files[0])
+    base = name if in_folder else posixpath.dirname(name)
     return [posixpath.normpath(posixpath.join(base, file.replace("\\", "/"))) for file in files]
 
 

@@ -41,10 +41,10 @@ def detect_april_grid(
     they do not lie as the board's, seen from its front.
     """
     read, numbers = read_markers(large, board.dictionary, border=BORDER)
-    own = numbers < board.tags_x * board.tags_y
-    if own.sum() < LEAST_MARKERS:
+    on_board = numbers < board.tags_x * board.tags_y
+    if on_board.sum() < LEAST_MARKERS:
         return None
-    quads, numbers = (np.array(read)[own] + 0.5) / scale - 0.5, numbers[own]
+    quads, numbers = (np.array(read)[on_board] + 0.5) / scale - 0.5, numbers[on_board]
     shape = board.rows, board.columns
     at = corner_points(board)[:, :2] / board.square_m
     # Half a marker allows for the lens, and not for markers that were misread.
@@ -58,9 +58,9 @@ def detect_april_grid(
     expected, corners = cv2.perspectiveTransform(at[None], H)[0], np.full(at.shape, np.nan)
     for numbers, quad in zip(index[kept.ravel() > 0], quads[kept.ravel() > 0], strict=True):
         turned = [np.roll(quad, k, axis=0) for k in range(4)]
-        off = [np.linalg.norm(each - expected[numbers], axis=1).max() for each in turned]
-        if min(off) < side / 2:
-            corners[numbers] = turned[int(np.argmin(off))]
+        errors_px = [np.linalg.norm(way - expected[numbers], axis=1).max() for way in turned]
+        if min(errors_px) < side / 2:
+            corners[numbers] = turned[int(np.argmin(errors_px))]
     near = np.linalg.norm(at[:, None] - at, axis=2) < 1.5
     for _ in range(ROUNDS):
         mapped = smooth_map(at, corners, at)
@@ -72,8 +72,8 @@ def detect_april_grid(
         corners = refine_corners(grey, grid, lengths, HALF_WIDTH_PX, at.reshape(grid.shape))
         corners = corners.reshape(-1, 2)
         for _ in range(ROUNDS):
-            off = np.linalg.norm(corners - smooth_map(at, corners, at), axis=1)
-            if not np.isfinite(off).any():
+            errors_px = np.linalg.norm(corners - smooth_map(at, corners, at), axis=1)
+            if not np.isfinite(errors_px).any():
                 return None
-            corners[~(off < STRAY * np.nanmedian(off))] = np.nan
+            corners[~(errors_px < STRAY * np.nanmedian(errors_px))] = np.nan
     return corners
