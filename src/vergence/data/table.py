@@ -14,14 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.data.description import (
-    JOINT_TIME,
-    PLACEMENT,
-    STREAM,
-    TIME,
-    Description,
-    pose_columns,
-)
+from vergence.data.description import JOINT_TIME, PLACEMENT, STREAM, TIME, Description, pose_columns
 from vergence.data.timing import JointStream
 from vergence.errors import VergenceError, counted, explain
 from vergence.files import MAX_DIGITS, read_bytes

@@ -20,12 +20,7 @@ from vergence.files import results_folder
 from vergence.geometry.camera import Camera
 from vergence.geometry.head import MAX_CAMERAS, HeadCalibration, main_pair
 from vergence.geometry.lens import CameraModel
-from vergence.interchange.serialization import (
-    camera_of,
-    check_cameras,
-    read,
-    write_yaml,
-)
+from vergence.interchange.serialization import camera_of, check_cameras, read, write_yaml
 from vergence.stereo.extrinsics import relative_camera_pose
 
 DISTORTION_MODELS: dict[CameraModel, str] = {

@@ -26,12 +26,7 @@ from vergence.progress import Progress, silent
 from vergence.recordings.board_placements import number_placements
 from vergence.recordings.formats import open_recording
 from vergence.recordings.frame_choice import choose_frames, join_at_rest, seconds
-from vergence.recordings.moments import (
-    check_moments,
-    find_moments,
-    read_images,
-    scan_mapped,
-)
+from vergence.recordings.moments import check_moments, find_moments, read_images, scan_mapped
 from vergence.recordings.readings import interpolate, joint_track
 from vergence.recordings.recording_map import RecordingMap
 from vergence.recordings.scan import Scan

@@ -10,14 +10,7 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from vergence.arrays import Array
-from vergence.geometry.board import (
-    AprilGrid,
-    Board,
-    Charuco,
-    Chessboard,
-    CircleGrid,
-    opencv_board,
-)
+from vergence.geometry.board import AprilGrid, Board, Charuco, Chessboard, CircleGrid, opencv_board
 from vergence.vision.april_grid import detect_april_grid
 from vergence.vision.circle_grid import detect_circle_grid
 from vergence.vision.corner_refinement import HALF_WIDTH_PX, edge_distances, refine_corners
