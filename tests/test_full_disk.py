@@ -94,6 +94,10 @@ SMALL = {
     "opencv json": ("a.json", "export {inputs}/head.json --format opencv --out out/a.json"),
     "kalibr": ("a.yaml", "export {inputs}/head.json --format kalibr --out out/a.yaml"),
     "urdf": ("a.urdf", "export {inputs}/head.json --format urdf --out out/a.urdf"),
+    "mrcal": (
+        "r/left_wide.cameramodel",
+        "export {inputs}/head.json --format mrcal --out out/r",
+    ),
     "ros": ("r/left_wide.yaml", "export {inputs}/head.json --format ros --out out/r"),
 }  # fmt: skip
 

@@ -1,5 +1,6 @@
 """Other programs' formats: round trips are exact, and what a format cannot say is refused."""
 
+import ast
 from dataclasses import replace
 
 import cv2
@@ -23,6 +24,7 @@ from vergence.interchange import kalibr, opencv, ros
 from vergence.interchange.formats import export_head, import_head
 from vergence.interchange.serialization import with_intrinsics
 from vergence.stereo.extrinsics import relative_camera_pose
+from vergence.stereo.uncertainty import locate
 
 SEEDS = st.integers(0, 2**32 - 1)
 NAMED_NECK = Neck(np.eye(3)[[2, 1]], np.ones((2, 3)), np.ones(3), joints=("neck_yaw", "neck_pitch"))
@@ -99,7 +101,7 @@ def test_a_camera_info_has_every_field_that_ros_requires(tmp_path):
     assert_opencv_projects(K, D, head.cameras["left_wide"].intrinsics)
 
 
-@pytest.mark.parametrize("format_name", ["kalibr", "ros", "opencv"])
+@pytest.mark.parametrize("format_name", ["kalibr", "mrcal", "ros", "opencv"])
 def test_skew_is_refused_by_formats_that_have_no_field_for_it(tmp_path, format_name):
     head = skewed_head(np.random.default_rng(12))
     said = r"left_wide has a skew of -0\.0492 px, for which .* no field; .*set it to 0"
@@ -139,7 +141,7 @@ def test_the_accuracy_of_the_head_to_start_from_is_not_that_of_other_lenses(tmp_
 
 
 def test_a_format_that_does_not_exist_is_answered_with_those_that_do(tmp_path):
-    with pytest.raises(VergenceError, match="one of kalibr, ros, opencv, urdf; found 'foo'"):
+    with pytest.raises(VergenceError, match="one of kalibr, mrcal, ros, opencv, urdf; found 'foo'"):
         export_head(unskewed_head(14), tmp_path / "a", "foo")  # pyright: ignore[reportArgumentType]
     with pytest.raises(VergenceError, match="one of kalibr, ros; found 'urdf'"):
         import_head(tmp_path / "a", "urdf", template=unskewed_head(14))  # pyright: ignore[reportArgumentType]
@@ -388,3 +390,38 @@ def test_a_camchain_holds_at_a_stated_posture(tmp_path, seed):
         poses[name] = T
     found = poses["right_wide"] @ inverse(poses["left_wide"])
     np.testing.assert_allclose(found, relative_camera_pose(head, at), atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("model", ["radial-tangential", "rational"])
+def test_cameramodels_project_located_points_where_they_were_seen(tmp_path, seed, model):
+    """By the documented text alone: a dict, OpenCV's coefficients, and rt from the reference."""
+    head = unskewed_head(3) if model == "radial-tangential" else with_lens(unskewed_head(3), model)
+    at = np.random.default_rng(seed).uniform(-0.1, 0.1, 4)
+    export_head(head, tmp_path / "out", "mrcal", at=at)
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {
+        f"{n}.cameramodel" for n in head.cameras
+    }
+    pair = "left_wide", "right_wide"
+    poses = [inverse(camera_pose_in_base(head, name, at)) for name in pair]
+    poses[1] = poses[1] @ head.T_rbase_lbase
+    points = np.array([[1.0, 0.02, 0.03], [2.0, -0.1, 0.1]])
+    seen = []
+    for name, T in zip(pair, poses, strict=True):
+        content = ast.literal_eval((tmp_path / "out" / f"{name}.cameramodel").read_text())
+        assert list(content) == ["lensmodel", "intrinsics", "extrinsics", "imagersize"]
+        count = int(content["lensmodel"].removeprefix("LENSMODEL_OPENCV"))
+        fx, fy, cx, cy, *distortion = content["intrinsics"]
+        assert len(distortion) == count
+        assert content["imagersize"] == list(head.cameras[name].intrinsics.size)
+        r, t = np.split(np.array(content["extrinsics"]), 2)
+        np.testing.assert_allclose(cv2.Rodrigues(r)[0], T[:3, :3], atol=1e-9)
+        K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+        seen.append(cv2.projectPoints(points, r, t, K, np.array(distortion))[0][:, 0])
+    found = locate(head, left=seen[0], right=seen[1], joints=at)
+    np.testing.assert_allclose(found.xyz, points, atol=1e-8)
+
+
+def test_mrcal_has_no_field_for_a_fisheye_lens(tmp_path):
+    with pytest.raises(VergenceError, match="a fisheye lens, for which mrcal's cameramodel has no"):
+        export_head(with_lens(unskewed_head(3), "fisheye"), tmp_path / "out", "mrcal")

@@ -136,7 +136,7 @@ def export(
     calibration: Positional[Path],
     /,
     *,
-    format: Literal["kalibr", "ros", "opencv", "urdf"],
+    format: Literal["kalibr", "mrcal", "ros", "opencv", "urdf"],
     out: Path,
     at: Optional[tuple[float, ...]] = None,
     head: Optional[Path] = None,
@@ -145,17 +145,17 @@ def export(
 
     Args:
         calibration: JSON file that `vergence calibrate` wrote.
-        format: Format; ros writes a folder, the others a file.
+        format: Format; mrcal and ros write a folder, the others a file.
         out: File or folder to write.
-        at: Joint readings [rad] at which the cameras stand in files of kalibr and ros;
+        at: Joint readings [rad] at which the cameras stand in files of kalibr, mrcal and ros;
             default: straight gaze, and no rectification of moving eyes.
         head: A head.toml, whose limits the joints of a urdf get; default: a quarter turn.
     """
-    from vergence.interchange import ros
+    from vergence.interchange import mrcal, ros
 
     calibrated, limits = vg.load_head(calibration), None
-    if format == "ros":
-        names = map(ros.file_name, calibrated.cameras)
+    if folder := {"ros": ros, "mrcal": mrcal}.get(format):
+        names = map(folder.file_name, calibrated.cameras)
         check_outputs(folder=out, names=names, inputs=[calibration])
     else:
         check_outputs(out, inputs=[calibration, head])

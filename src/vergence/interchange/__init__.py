@@ -1,1 +1,1 @@
-"""Calibrations in the formats of other software: Kalibr, ROS, OpenCV and URDF."""
+"""Calibrations in the formats of other software: Kalibr, mrcal, ROS, OpenCV and URDF."""

@@ -15,10 +15,10 @@ from vergence.gaze.commands import JointLimits
 from vergence.geometry.head import HeadCalibration
 from vergence.geometry.kinematics import checked_readings
 from vergence.geometry.parameters import lens_vector
-from vergence.interchange import kalibr, opencv, ros, urdf
+from vergence.interchange import kalibr, mrcal, opencv, ros, urdf
 from vergence.interchange.serialization import with_intrinsics
 
-ExportFormat = Literal["kalibr", "ros", "opencv", "urdf"]
+ExportFormat = Literal["kalibr", "mrcal", "ros", "opencv", "urdf"]
 ImportFormat = Literal["kalibr", "ros"]
 
 
@@ -30,10 +30,10 @@ def export_head(
     limits: JointLimits | None = None,
     at: ArrayLike | None = None,
 ) -> None:
-    """Write a head in another program's format; ros writes a folder, the others a file.
+    """Write a head in another program's format; mrcal and ros write a folder, the others a file.
 
-    `limits` are those of the joints; only urdf has a field for them. Poses in files of kalibr
-    and ros are those at readings `at` (r,) [rad]; None: straight gaze, and in ros none of
+    `limits` are those of the joints; only urdf has a field for them. Poses in files of kalibr,
+    mrcal and ros are those at readings `at` (r,) [rad]; None: straight gaze, and in ros none of
     moving eyes.
 
     Raises:
@@ -45,6 +45,7 @@ def export_head(
         at = checked_readings(head.kinematics, at, one_posture=True)
     writers = {
         "kalibr": partial(kalibr.save, at=at),
+        "mrcal": partial(mrcal.save, at=at),
         "ros": partial(ros.save, at=at),
         "opencv": opencv.save,
         "urdf": partial(urdf.save, limits=limits),
