@@ -46,6 +46,7 @@ class Latent:
 
 
 NO_LATENT = Latent(np.zeros((0, 0)), 0)
+"""No latent elements, for problems whose unknowns are all in blocks."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -39,6 +39,7 @@ R_EYE_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 x."""
 
 _FINITE = ConfigDict(extra="forbid", allow_inf_nan=False)
+"""Settings of the dataclasses: unknown fields, NaN and infinity are refused."""
 AS_WIDE = 0.8
 """Ratio of two fields of view above which cameras count as equally wide: lenses of one kind differ
 by a few percent."""

@@ -15,6 +15,7 @@ from vergence.errors import counted
 from vergence.findings import Finding, select
 
 _FINITE = ConfigDict(extra="forbid", allow_inf_nan=False)
+"""Settings of the dataclasses: unknown fields, NaN and infinity are refused."""
 SMALLEST_VARIANCE = 1e-60
 """Smallest variance of an estimated parameter; numbers far from one would overflow where variances
 are compared."""

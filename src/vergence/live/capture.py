@@ -113,7 +113,7 @@ class Sweep:
 
 @dataclass(frozen=True, eq=False)
 class CaptureState:
-    """All that is known during a capture."""
+    """The state of a guided capture after the frames so far."""
 
     head: HeadCalibration
     """As assumed, then as calibrated."""

@@ -46,7 +46,7 @@ def open_driver(name: str) -> Driver:
     """Open a driver named as `package.module:Name` or `folder/file.py:Name`.
 
     `Name` is a class or function without arguments; modules are also found in the current folder.
-    VergenceError if there is no such driver, it cannot be opened, or a part of it is missing.
+    VergenceError if the driver is not found, cannot be opened, or lacks one of PARTS.
     """
     where, _, attribute = name.rpartition(":")
     if not where or not attribute.isidentifier():

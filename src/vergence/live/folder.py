@@ -28,7 +28,7 @@ class FolderHead:
     limits = None
 
     def __init__(self, folder: Path):
-        """Read dataset.json; VergenceError if there is none."""
+        """Read dataset.json; VergenceError if it is missing."""
         self.description = load_description(folder)
         self._table, self._rows, self._time_s = folder / FRAMES, 0, 0.0
         self._waits_s = time.monotonic()
@@ -38,7 +38,7 @@ class FolderHead:
         return self._time_s
 
     def read(self, cameras: Sequence[str]) -> Frame | None:
-        """Read the images of a new line; None: there is none yet."""
+        """Read the images of a new line; None if no line was added."""
         rows = self._table.read_text("utf-8").count("\n") - 1 if self._table.exists() else 0
         if rows <= self._rows:
             time.sleep(POLL_S)

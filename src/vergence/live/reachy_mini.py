@@ -25,6 +25,7 @@ RANGE_RAD = {"pan": (-0.5, 0.5), "tilt": (-0.35, 0.35), "roll": (-0.25, 0.25)}
 SPEED_RAD_S = 2.0
 """Maximum speed of the set points [rad/s], for a heavy head: assumed."""
 BOARD = Chessboard(columns=9, rows=6, square_m=0.03)
+"""The board to show, by its inner corners and the side of a square [m]."""
 PERIOD_S, FAILED_S = 0.01, 3.0
 """Time between set points, half that of the package's control loop; and time without an image after
 which the camera has failed [s]."""

@@ -44,10 +44,12 @@ class Servo:
 
 
 DYNAMIXEL = ("dynamixel_sdk", 2.0, 64, 116, 132, 4)
-FEETECH = ("scservo_sdk", 0, 40, 42, 56, 2)
 """Module and protocol; registers of torque, goal and position; bytes of the latter two: X series by
-its manual, STS and SMS series by their memory table. SCS servos have no sync read."""
+its manual."""
+FEETECH = ("scservo_sdk", 0, 40, 42, 56, 2)
+"""The same of the STS and SMS series, by their memory table. SCS servos have no sync read."""
 PROTOCOL, PORT, BAUD = DYNAMIXEL, "/dev/ttyUSB0", 1_000_000
+"""Kind of the servos, their serial port, and the baud rate that is set in all of them."""
 SERVOS: Mapping[str, Servo] = {
     "left_pan": Servo(1, 2048, 1, (-0.6, 0.6)),
     "left_tilt": Servo(2, 2048, -1, (-0.5, 0.5)),
@@ -63,6 +65,7 @@ CAMERAS: Mapping[str, tuple[int | str, DatasetCamera]] = {
 }
 """Cameras by name: N of /dev/videoN, or a lasting name as in /dev/v4l/by-path; and the camera."""
 BOARD: Board = Chessboard(columns=9, rows=6, square_m=0.03)
+"""The board to show, by its inner corners and the side of a square as measured on it [m]."""
 LATENCY_S = 0.0
 """Time from exposure to the stamp of an image [s]; `calibrate` estimates it from moving eyes."""
 TICKS = 4096

@@ -21,6 +21,7 @@ _COLOURS = (BLUE, GREEN, RED)  # x, y, z
 _OTHERS = ("orange", "black", "0.5")
 """Colours of the depth by other methods, in their order."""
 _STYLE: dict[str, Any] = {"fontsize": 12}
+"""Size of labels [points], for panels 8 inches wide."""
 
 
 def save_figures(path: Path, results: Sequence[Replay]) -> None:

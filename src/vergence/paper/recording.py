@@ -33,6 +33,7 @@ from vergence.viewer.seen import log_seen_styles
 from vergence.viewer.shapes import lines_of_sight, log_points_style, placed, spread_ellipsoid
 
 _TRAILS = {"world/left_base/trail": None, "world/left_base/recent": 10.0}
+"""Time for which points of these entities stay visible [s]; None: for ever."""
 
 
 @contextmanager

@@ -24,6 +24,7 @@ has moved, and below which images are alike."""
 NECK_RAD = 0.01
 """Turn of a neck's joint that ends a placement [rad]: half of what a dataset allows."""
 LEAVE_OUT = -1
+"""Number that marks frames to be left out."""
 
 
 def number_placements(

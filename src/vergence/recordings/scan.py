@@ -76,7 +76,8 @@ def scan(
 ) -> Scan:
     """Read channels of a recording in one pass; VergenceError if it is damaged.
 
-    None: all but those of poses, which are many; channels in `errors` are without content.
+    None: all channels except those of poses, which are many. Channels in `errors` are without
+    content.
     """
     wanted = {
         name: channel

@@ -85,6 +85,7 @@ change of a camera that was hit; a head known from its drawing only."""
 USUAL, MOVED, DRIFT, BUMP, UNCALIBRATED = (
     Tolerance(*map(float, c)) for c in zip(*_TOLERANCES, strict=True)
 )
+"""The columns of _TOLERANCES."""
 
 _LENS_INFLATION = 2.0
 """Inflation of the stated errors of a lens fit; chosen with benchmarks/single_frames.py."""

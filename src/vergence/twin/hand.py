@@ -22,6 +22,7 @@ SPEED_M_S, ACCELERATION_M_S2 = 0.5, 4.0
 _CLOSING_S = 0.1
 """Time in which the fingers close."""
 _TICK_S = 0.005
+"""Longest step of the integration of the hand's motion [s]: as between the joints' commands."""
 
 
 def arm_mounting_error(seed: int, run: int) -> Array:

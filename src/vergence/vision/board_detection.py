@@ -36,7 +36,7 @@ def detect_board(image: np.ndarray, board: Board, *, thorough: bool = True) -> A
     A board with markers may be partly visible, others must be visible as a whole. The square
     outside a chessboard's first corner is black if only one of its corner counts is odd; of corners
     that look the same, the first is the one nearest to the image's upper left. A search that is not
-    thorough misses every tenth chessboard, and takes a tenth of the time where there is none.
+    thorough misses every tenth chessboard, and takes a tenth of the time without one.
 
     Returns pixels (rows * columns, 2) in the order of corner_points, NaN for corners that were not
     found; None where no board was detected.

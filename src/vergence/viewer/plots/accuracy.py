@@ -23,6 +23,7 @@ from vergence.viewer.style import EYE_COLOURS, html
 MAP_STEPS = 41
 """Points of a side of the map."""
 DEPTHS_M = np.geomspace(0.25, 5.0, 200)
+"""Depths at which the curves are drawn [m], at equal ratios."""
 DEPTH_ERRORS = {0.005: "#8fb4f0", 0.020: "#4a7fe0", 0.050: "#12389b"}
 """Drawn errors of depth [m], with their colours."""
 

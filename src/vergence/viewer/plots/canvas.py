@@ -15,6 +15,7 @@ from vergence.files import whole_file
 from vergence.viewer.style import AXIS_COLOURS, html
 
 DPI = 100
+"""Resolution of a picture [pixels per inch]; matplotlib's usual one."""
 BLUE, GREEN, RED = map(html, AXIS_COLOURS.values())
 
 

@@ -19,6 +19,7 @@ from vergence.arrays import Array
 WINDOW_PX = 15
 """Side of a window [px]: noise falls with the size, and the linear change follows most relief."""
 _HALF = WINDOW_PX // 2
+"""Distance from the middle pixel of a window to its outermost ones [px]."""
 _PARTS = 3
 """Clusters of pixels along each side of a window, for the sandwich covariance."""
 _IN_PARTS = np.kron(*2 * [np.eye(_PARTS, dtype=np.float32).repeat(WINDOW_PX // _PARTS, axis=0)])
