@@ -18,7 +18,7 @@ from vergence.data.writer import DatasetRow
 from vergence.errors import VergenceError
 from vergence.gaze.commands import JointLimits
 from vergence.geometry.board import corner_points
-from vergence.geometry.head import HeadCalibration, main_cameras
+from vergence.geometry.head import HeadCalibration, lenses_of, main_camera, main_cameras
 from vergence.geometry.se3 import angle, known_poses
 from vergence.live.estimate import LEAST_SEEN, Estimate
 from vergence.live.guide import (
@@ -49,8 +49,8 @@ that was kept, before there is a plan; views of the paper are as far apart."""
 WORTH = 0.4
 """Gain of a view, relative to that of the best one, from which it is kept; chosen with
 benchmarks/guided_capture.py, where a person follows the guide by 3 cm and 10 degrees."""
-PATIENCE_S = 20.0
-"""Time after which another view is asked for [s]; a person takes 5 to 10 s to show one."""
+PATIENCE_S = 15.0
+"""Time after which another view is asked for [s]; a person takes 5 to 10 s to show one: assumed."""
 MOVED_M, TURNED_RAD = 0.02, 0.05
 """Motion of a board between two views from which it has another place [m, rad]: above the errors of
 a first calibration."""
@@ -123,6 +123,8 @@ class CaptureState:
     """Time since which the present one is asked for."""
     rounds: int = 0
     """How often views were drawn without a plan."""
+    focal_px: Mapping[str, float] = field(default_factory=dict)
+    """By such a camera that has seen the board, its rough focal length."""
     for_camera: str = ""
     """Camera that has shown the board too seldom, for which they were drawn; empty: for all."""
     kept: tuple[Kept, ...] = ()
@@ -184,7 +186,7 @@ def _ask(settings: CaptureSettings, state: CaptureState, now_s: float) -> Captur
             camera,
             limits_rad,
             seed=seed,
-            focal_px=_rough_focal_px(settings, state, camera),
+            focal_px=state.focal_px.get(camera),
         )
     else:
         camera, views = "", first_views(description, limits_rad, seed=seed)
@@ -200,19 +202,16 @@ def _missing(settings: CaptureSettings, state: CaptureState) -> tuple[str, ...]:
     )
 
 
-def _rough_focal_px(settings: CaptureSettings, state: CaptureState, camera: str) -> float | None:
-    """Estimate a focal length by the size of a board that a main camera has located; None: none.
+def _rough_focal_px(settings: CaptureSettings, state: CaptureState, corners: Array) -> float:
+    """Estimate a focal length by the size of a board that is about where it is asked for.
 
     Slant makes it up to a third too short.
     """
     points = corner_points(board_of(settings.description))
-    for view in state.kept:
-        T = _located(settings, state.head, view.corners, view.frame.eye_angles)
-        if camera in view.corners and T is not None:
-            seen = np.isfinite(view.corners[camera]).all(axis=1)
-            size_px = np.linalg.norm(np.ptp(view.corners[camera][seen], axis=0))
-            return float(size_px * T[0, 3] / np.linalg.norm(np.ptp(points[seen], axis=0)))
-    return None
+    T, seen = state.T_lbase_board, np.isfinite(corners).all(axis=1)
+    distance_m = (state.asked[0].T_lbase_target if T is None else T)[0, 3]
+    size_px, size_m = (np.linalg.norm(np.ptp(each[seen], axis=0)) for each in (corners, points))
+    return float(size_px * distance_m / size_m)
 
 
 def step_capture(
@@ -225,7 +224,11 @@ def step_capture(
     state = replace(state, watched=watched, T_lbase_board=place, asked_s=min(state.asked_s, now_s))
     if state.sweep is not None:
         return _step_sweep(state, state.sweep, frame)
-    still = watched.still_s >= STILL_S
+    still, camera = watched.still_s >= STILL_S, state.for_camera
+    if still and camera in watched.corners and camera not in state.focal_px:
+        rough_px = _rough_focal_px(settings, state, watched.corners[camera])
+        state = replace(state, focal_px={**state.focal_px, camera: rough_px}, asked=())
+        return _ask(settings, state, now_s), ()
     if still and not state.to_keep and state.judged_s != watched.since_s:
         worth = _is_worth(settings, state, frame)
         return replace(state, judged_s=watched.since_s, to_keep=worth), ()
@@ -270,8 +273,11 @@ def _located(
 
 def _is_worth(settings: CaptureSettings, state: CaptureState, frame: Frame) -> bool:
     """Judge a view at rest: by what it adds or, without a plan, by whether it is new."""
-    if state.for_camera and state.for_camera not in state.watched.corners:
-        return False
+    if state.for_camera:  # its place in the eye is found by the main camera
+        eye = settings.description.cameras[state.for_camera].eye
+        main = main_camera(lenses_of(state.head, eye))
+        if not {state.for_camera, main} <= state.watched.corners.keys():
+            return False
     if state.outlook is None or state.T_lbase_board is None or state.for_camera:
         return all(_differs(settings, state, frame, view) for view in state.kept if not view.moving)
     placement = _placement(settings, state)
