@@ -290,13 +290,13 @@ def _differs(settings: CaptureSettings, state: CaptureState, frame: Frame, view:
     """Check whether the eyes have turned, or the board has moved, since a view."""
     if (np.abs(posture_of(frame) - posture_of(view.frame)) > NEW_RAD).any():
         return True
+    moved = []
     for name in state.watched.corners.keys() & view.corners.keys():
         moved_px = np.linalg.norm(state.watched.corners[name] - view.corners[name], axis=1)
         moved_px = moved_px[np.isfinite(moved_px)]
         width = settings.description.cameras[name].width
-        if len(moved_px) and np.median(moved_px) < NEW_PER_WIDTH * width:
-            return False
-    return True
+        moved.append(not len(moved_px) or np.median(moved_px) > NEW_PER_WIDTH * width)
+    return any(moved) or not moved
 
 
 def _placement(settings: CaptureSettings, state: CaptureState) -> int:
