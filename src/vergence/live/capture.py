@@ -352,7 +352,9 @@ def with_estimate(settings: CaptureSettings, state: CaptureState, found: Estimat
     if found.candidates is not None:
         outlook = begin_outlook(found.candidates, settings.limits_rad)
         outlook = _with_views(settings, state, outlook, state.kept[found.rows :])
-        state = _ask(settings, replace(state, outlook=outlook), state.watched.time_s)
+        state = replace(state, outlook=outlook)
+        if not state.for_camera:
+            state = _ask(settings, state, state.watched.time_s)
         now_m, later_m = found.accuracy_m
         if now_m <= settings.goal_m and not found.missing:
             return replace(state, finished="the accuracy is reached")

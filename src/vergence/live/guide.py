@@ -50,6 +50,9 @@ STAY = 0.7
 moving a board takes a person longer than turning eyes."""
 MEAN_POWER = 1 / 8
 """Inverse power of the mean that the plan reduces (see accuracy.plan)."""
+SAME_RAD = 0.02
+"""Difference of readings up to which two directions of gaze count as the same [rad]: the noise of
+readings, and errors of servos."""
 GAZES = 12
 """Directions of gaze that are tried before a board where it stands."""
 
@@ -201,6 +204,8 @@ def with_view(outlook: Outlook, T_lbase_target: Array, joints: Array, placement:
         nearby = there.take(np.flatnonzero(seen)[:GAZES])
     else:
         nearby = outlook.nearby
+    near_rad = np.abs(nearby.joints - joints).max(axis=1, initial=0.0)
+    nearby = nearby.take(np.flatnonzero(near_rad > SAME_RAD))  # each direction once
     N = information_of(head, board, _joined(view, nearby), scale)
     return replace(
         outlook,

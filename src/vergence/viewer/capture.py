@@ -65,7 +65,7 @@ def capture_log(feed: Feed, settings: CaptureSettings) -> Callable[[CaptureState
 
     def look(state: CaptureState, frame: Frame) -> None:
         nonlocal index, kept, head
-        if feed.file is None and feed.waiting is None:
+        if not feed.used:
             return
         if state.head is not head:
             feed.always(log_cameras, state.head)
