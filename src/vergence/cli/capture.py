@@ -83,7 +83,7 @@ def capture(
         raise VergenceError("Options of the twin are given without --twin.")
     calibration = calibration or out / "calibration.json"
     check_outputs(calibration, inputs=[options.head])
-    with viewing(viewer) as (opened, shown), _head(driver, folder, options) as (head, follow):
+    with viewing(viewer) as (opened, shown), _head(driver, folder, options, out) as (head, follow):
         settings = CaptureSettings(
             head.description,
             head.limits,
@@ -156,9 +156,10 @@ def _shown(settings: CaptureSettings, state: CaptureState, viewer: Viewer | None
 
 @contextmanager
 def _head(
-    driver: str | None, folder: Path | None, options: TwinOptions
+    driver: str | None, folder: Path | None, options: TwinOptions, out: Path
 ) -> Iterator[tuple[Driver, Look]]:
     """Open the head for a `with` block; also yield the function that moves its board."""
+    from vergence.data.description import DESCRIPTION
     from vergence.live.driver import open_driver
 
     if driver is None and folder is None:
@@ -170,7 +171,11 @@ def _head(
         profile, model = load_profile(options.profile), load_head_model(options.head)
         with Twin(profile, head=model, seed=options.seed, scene=options.scene) as twin:
             person = TwinBeforePerson(twin, options.seed)
-            yield person, person.follow
+            try:
+                yield person, person.follow
+            finally:
+                if (out / DESCRIPTION).exists():
+                    person.write_truth(out)
         return
     if folder is not None:
         from vergence.live.folder import FolderHead

@@ -33,7 +33,7 @@ from vergence.viewer.layouts import (
     view_3d,
 )
 from vergence.viewer.live import Feed
-from vergence.viewer.recording import log_image, log_report, set_time
+from vergence.viewer.recording import log_image, set_time
 from vergence.viewer.shapes import log_cameras, placed
 
 WANTED, KEPT = (60, 220, 90), (255, 230, 0, 70)
@@ -108,7 +108,8 @@ def _log_frame(
         rec.log(f"world/{eye}_eye", placed(eye_pose_in_left_base(eye, head.T_rbase_lbase, T)))
     _log_board(rec, "wanted", settings, view.T_lbase_target, WANTED)
     _log_board(rec, "board", settings, state.T_lbase_board, style.OBJECT)
-    log_report(rec, status(settings, state).replace("\n", "\n\n"))
+    words = status(settings, state).replace("\n", "\n\n")
+    rec.log("report", rr.TextDocument(words, media_type=rr.MediaType.MARKDOWN))
 
 
 def _log_board(
