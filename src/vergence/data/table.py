@@ -22,6 +22,10 @@ from vergence.findings import Finding
 from vergence.geometry.kinematics import EYES
 from vergence.geometry.se3 import rigid_poses
 
+NECK_MOVED_RAD = 0.02
+"""Turn of a joint of the neck [rad] from which a board is no longer at the same place in the head:
+above the noise of encoders."""
+
 MAX_DELAY_S = 1.0
 """Largest time between an image and its joint reading [s]; more means that the clocks differ."""
 # float() and int() also accept 1_000 and digits of other scripts.
@@ -188,7 +192,7 @@ def placements(neck: Sequence[str], neck_angles: Array, table: Table) -> np.ndar
     placement = np.where(stated < 0, stated.max() + np.cumsum(stated < 0), stated)
     _, first, group = np.unique(placement, return_index=True, return_inverse=True)
     motion = np.abs(neck_angles - neck_angles[first[group]])
-    moved = (motion > 0.02).any(axis=1)  # above the noise of encoders
+    moved = (motion > NECK_MOVED_RAD).any(axis=1)
     for k in np.flatnonzero(moved).tolist():
         raise VergenceError(
             f"{table.where(k)}: {neck[motion[k].argmax()]} has moved by "

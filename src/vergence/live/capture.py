@@ -14,6 +14,7 @@ from vergence.accuracy.plan import LIMIT_RAD
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.data.description import Description
+from vergence.data.table import NECK_MOVED_RAD
 from vergence.data.writer import DatasetRow
 from vergence.errors import VergenceError
 from vergence.gaze.commands import JointLimits
@@ -47,8 +48,9 @@ NEW_PER_WIDTH, NEW_RAD = 0.04, 0.05
 """Least motion of the board's corners, in image widths, or turn of a joint [rad] since every view
 that was kept, before there is a plan; views of the paper are as far apart."""
 WORTH = 0.4
-"""Gain of a view, relative to that of the best one, from which it is kept; chosen with
-benchmarks/guided_capture.py, where a person follows the guide by 3 cm and 10 degrees."""
+"""Gain of a view, relative to that of the best one, from which it is kept. With it, a
+person who follows the guide by 3 cm and 10 degrees needs as many views as a plan that is carried
+out exactly (benchmarks/guided_capture.py)."""
 PATIENCE_S = 15.0
 """Time after which another view is asked for [s]; a person takes 5 to 10 s to show one: assumed."""
 MOVED_M, TURNED_RAD = 0.02, 0.05
@@ -242,7 +244,7 @@ def step_capture(
     state = replace(state, to_keep=False)
     if not (corners := detect(frame, board, np.inf)):
         return state, ()
-    kept = Kept(replace(frame, images={}), corners, _placement(settings, state))
+    kept = Kept(replace(frame, images={}), corners, _placement(settings, state, frame))
     state = replace(state, kept=(*state.kept, kept))
     if state.outlook is not None:
         state = replace(state, outlook=_with_views(settings, state, state.outlook, (kept,)))
@@ -280,7 +282,7 @@ def _is_worth(settings: CaptureSettings, state: CaptureState, frame: Frame) -> b
             return False
     if state.outlook is None or state.T_lbase_board is None or state.for_camera:
         return all(_differs(settings, state, frame, view) for view in state.kept if not view.moving)
-    placement = _placement(settings, state)
+    placement = _placement(settings, state, frame)
     after = with_view(state.outlook, state.T_lbase_board, frame.eye_angles, placement)
     now_m = mean_deviation_m(state.outlook)
     return now_m - mean_deviation_m(after) > WORTH * (now_m - state.best_m)
@@ -299,12 +301,14 @@ def _differs(settings: CaptureSettings, state: CaptureState, frame: Frame, view:
     return any(moved) or not moved
 
 
-def _placement(settings: CaptureSettings, state: CaptureState) -> int:
-    """Number the board's place: that of the view before, if it was asked to stay and did."""
+def _placement(settings: CaptureSettings, state: CaptureState, frame: Frame) -> int:
+    """Number the board's place in the head: that of the view before, if it was asked to stay."""
     if not state.kept:
         return 0
     last, now = state.kept[-1], state.T_lbase_board
-    stays = state.asked[0].board_stays
+    first = next(view for view in state.kept if view.placement == last.placement)
+    neck = np.abs(frame.neck_angles - first.frame.neck_angles)
+    stays = state.asked[0].board_stays and bool((neck < NECK_MOVED_RAD).all())
     if stays and state.outlook is not None and now is not None:
         before = _located(settings, state.head, last.corners, last.frame.eye_angles)
         if before is not None:

@@ -10,7 +10,6 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
-from vergence.data.reader import MOVED_RAD
 from vergence.geometry.board import Board
 from vergence.vision.board_detection import detect_board
 from vergence.vision.board_pose import LEAST_CORNERS, seen_corners
@@ -18,6 +17,9 @@ from vergence.vision.board_pose import LEAST_CORNERS, seen_corners
 WATCHED_PX = 640
 """Width to which larger images are shrunk while nothing is kept [px]: a pair of them takes 30 to 70
 ms of processor time with a board, by its kind, and 10 to 25 ms without."""
+STILL_RAD = 0.03
+"""Change of a reading that counts as motion [rad]: three times the noise of hobby servos, 0.4
+degrees, in each of two readings. The corners show smaller motions."""
 STILL_PER_WIDTH = 1 / 500
 """Largest distance of corners from where they came to rest, in image widths: the eyes' noise, and
 that of a hand that is held still."""
@@ -52,7 +54,7 @@ def watch(before: Watched, frame: Frame, corners: Mapping[str, Array]) -> Watche
     readings = np.concatenate([frame.neck_angles, frame.eye_angles])
     still = bool(corners) and any(name in before.anchor for name in corners)
     still = still and readings.shape == before.readings.shape
-    still = still and bool((np.abs(readings - before.readings) < MOVED_RAD).all())
+    still = still and bool((np.abs(readings - before.readings) < STILL_RAD).all())
     for name in corners.keys() & before.anchor.keys():
         moved_px = np.linalg.norm(corners[name] - before.anchor[name], axis=1)
         moved_px = moved_px[np.isfinite(moved_px)]
