@@ -217,8 +217,9 @@ def test_images_turned_exchanged_or_of_other_moments_are_named_and_spoil_nothing
     right[9] = seen.corners["right_wide"][10]
     corners = {"left_wide": left, "right_wide": right}
     found = calibrate(replace(seen, corners=corners), lens="radial-tangential")
-    (named,) = (each for each in found.findings if each.code == "wrong-view")
-    assert (named.severity, named.where) == ("note", "view 3, view 7, view 9")
+    named = [each for each in found.findings if each.code == "wrong-view"]
+    assert [each.where for each in named] == ["view 3", "view 7", "view 9"]
+    assert {each.severity for each in named} == {"note"}
     off = boxminus(found.start.head, truth)
     assert max(abs(off[f"T_rbase_lbase.{name}"]) for name in ("rx", "ry", "rz")) < 0.02
     assert not texts(found.findings)
