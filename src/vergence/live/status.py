@@ -60,7 +60,7 @@ def _missing(settings: CaptureSettings, state: CaptureState) -> str:
     if state.for_camera:
         parts.insert(0, f"views of {state.for_camera}")
     if state.estimate is not None and state.estimate.problem:
-        parts.append(state.estimate.problem)
+        parts.append(f"no plan yet: {state.estimate.problem}")
     return "; ".join(parts)
 
 
