@@ -9,6 +9,7 @@ import numpy as np
 from guided_capture import HeadWithoutImages, simulated
 from simulated_recording import BOARD
 from vergence.data.dataset import Frame
+from vergence.gaze.commands import joint_limits
 from vergence.geometry.board import Board
 from vergence.geometry.camera import Camera
 from vergence.geometry.head import camera_pose_in_base
@@ -85,4 +86,13 @@ class DrawnHead(HeadWithoutImages):
 def open_drawn() -> DrawnHead:
     """Open the driver."""
     head, _ = DrawnHead.drawn(1)
+    return head
+
+
+def two_limits() -> DrawnHead:
+    """Open a driver that forgets two of four joints."""
+    head = open_drawn()
+    names = head.limits.joints[:2]
+    reach, speed = dict.fromkeys(names, (-0.3, 0.3)), dict.fromkeys(names, 1.0)
+    head.limits = joint_limits(reach, speed, joints=names)
     return head

@@ -107,6 +107,34 @@ def test_a_frame_is_kept_when_board_and_eyes_have_stood_still_and_never_twice():
     assert len(asked) >= 3  # another view is asked for after a while
 
 
+def test_a_board_that_was_asked_for_elsewhere_has_a_place_of_its_own():
+    _, settings = simulated(0, GOAL_M)
+    state = begin_capture(settings)
+    stays = replace(state.asked[0], board_stays=True)
+    # Nothing was kept where the board was asked to before: it has moved, and is asked to stay now.
+    first = Kept(vg.Frame(0.0, 0.0, np.zeros(4), np.empty(0), {}), {}, 7)
+    frame = replace(first.frame, time_s=1.0)
+    for in_place, number in ((False, 8), (True, 7)):
+        now = replace(state, kept=(first,), asked=(stays,), in_place=in_place)
+        assert capture._placement(settings, now, frame) == number
+    assert not begin_capture(settings, (first,)).in_place
+
+
+def test_a_sweep_is_kept_where_the_board_was_in_sight():
+    _, settings = simulated(0, GOAL_M)
+    sweep, rows = capture.Sweep(0.0, np.zeros(4)), []
+    for time_s in (0.0, 0.1, *np.arange(1.0, 2.5, 0.1), 2.9):
+        frame = vg.Frame(time_s, time_s, np.zeros(4), np.empty(0), {})
+        rows.append((vg.DatasetRow(frame, 0, moving=True), Kept(frame, {}, 0, moving=True)))
+    sweep = replace(sweep, rows=tuple(rows))
+    frame = vg.Frame(3.1, 3.1, np.zeros(4), np.empty(0), {})
+    state, kept = capture._step_sweep(begin_capture(settings), sweep, frame)
+    assert [row.frame.time_s for row in kept] == pytest.approx(np.arange(1.0, 2.5, 0.1))
+    assert state.sweep is None
+    short = replace(sweep, rows=tuple(rows[:2]))
+    assert capture._step_sweep(begin_capture(settings), short, frame)[1] == ()
+
+
 def test_capture_goes_on_from_a_dataset_though_the_clock_began_anew(tmp_path):
     head, settings = DrawnHead.drawn(1)
     growing = begin_dataset(tmp_path / "d", settings.description)
@@ -232,11 +260,15 @@ def test_the_command_captures_with_a_driver_and_calibrates(tmp_path, capsys, mon
     [
         ([], "name --driver MODULE:NAME, --twin or --folder DIR; found 0"),
         (["--twin", "--folder", "x"], "found 2"),
+        (
+            ["--driver", "drawn_head_before_person:two_limits"],
+            "limits of a driver are of all joints",
+        ),
         (["--driver", "nothing"], "named as module:Name or file.py:Name"),
         (["--driver", "no_such_module:Head"], "No driver can be loaded from no_such_module"),
         (["--folder", "no_such_folder"], "There is no dataset folder no_such_folder"),
         ([*DRAWN, "--goal-mm", "0"], "accuracy above 0 m"),
-        ([*DRAWN, "--seed", "1"], "without --twin"),
+        ([*DRAWN, "--profile", "ideal"], "without --twin"),
     ],
 )
 def test_what_cannot_be_captured_is_refused_in_one_sentence(arguments, sentence, tmp_path):

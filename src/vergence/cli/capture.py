@@ -79,7 +79,7 @@ def capture(
             "A capture is of one head: name --driver MODULE:NAME, --twin or --folder DIR; found "
             f"{sum(sources)} of them."
         )
-    if options != PAPER and not twin:
+    if replace(options, seed=PAPER.seed) != PAPER and not twin:
         raise VergenceError("Options of the twin are given without --twin.")
     calibration = calibration or out / "calibration.json"
     check_outputs(calibration, inputs=[options.head])
@@ -100,6 +100,7 @@ def capture(
             growing = add_rows(growing, *rows)
 
         state, tell = begin_capture(settings, kept), _teller(settings)
+        print("Waiting for the first frame.", file=sys.stderr)
         try:
             with _shown(settings, state, opened) as show:
 
@@ -113,7 +114,11 @@ def capture(
             finished_files[:] = [out] if growing.rows else []
             print("The same command goes on from here.", file=sys.stderr)
             raise
-    print(f"Captured {state.views} views: {state.finished}.", file=sys.stderr)
+    moving = len(state.kept) - state.views
+    print(
+        f"Captured {state.views} views, and {moving} frames of moving eyes: {state.finished}.",
+        file=sys.stderr,
+    )
     with progress_bars() as progress:
         result = calibrate(vg.load_dataset(out), progress=progress)
     vg.save_head(result.head, calibration)

@@ -110,7 +110,7 @@ def row_cells(
 
     VergenceError if it does not fit the description.
     """
-    _check_images(description, row.frame)
+    check_images(description, row.frame)
     images = {camera: f"images/{number:05d}_{camera}.png" for camera in row.frame.images}
     return _cells(description, row) | images, images
 
@@ -151,7 +151,7 @@ def _cells(description: Description, row: DatasetRow) -> dict[str, object]:
     return cells
 
 
-def _check_images(description: Description, frame: Frame) -> None:
+def check_images(description: Description, frame: Frame) -> None:
     """Raise VergenceError for images of another camera, size or type than described."""
     for name, image in frame.images.items():
         where = f"The row at {frame.time_s} s has an image of"

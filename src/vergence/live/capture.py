@@ -12,7 +12,7 @@ import numpy as np
 
 from vergence.accuracy.plan import LIMIT_RAD
 from vergence.arrays import Array
-from vergence.data.dataset import Frame
+from vergence.data.dataset import MAX_GAP_S, Frame
 from vergence.data.description import Description
 from vergence.data.table import NECK_MOVED_RAD
 from vergence.data.writer import DatasetRow
@@ -87,6 +87,12 @@ class CaptureSettings:
         board_of(self.description)
         if self.description.eye_motion == "poses":
             raise VergenceError("A capture is of joint readings; this head measures eye poses.")
+        joints = *self.description.neck_joints, *self.description.head_kinematics.readings
+        if self.limits is not None and len(self.limits.joints) != len(joints):
+            raise VergenceError(
+                f"The limits of a driver are of all joints, {', '.join(joints)}; found those of "
+                f"{', '.join(self.limits.joints)}."
+            )
         if not (self.goal_m > 0 and self.distance_m > 0):
             raise VergenceError(
                 f"A goal is an accuracy above 0 m at a distance above 0 m; found {self.goal_m:g} m "
@@ -137,6 +143,8 @@ class CaptureState:
     """Whether the next frame is to be kept."""
     T_lbase_board: Array | None = None
     """(4, 4) where the board is now; None: not seen."""
+    in_place: bool = False
+    """Whether the board was only asked to stay since the latest view that was kept."""
     estimate: Estimate | None = None
     outlook: Outlook | None = None
     """What further views bring; None: there is no plan."""
@@ -174,10 +182,10 @@ def _ask(settings: CaptureSettings, state: CaptureState, now_s: float) -> Captur
     """Ask for the next view: of the plan or, without one, of those that were drawn."""
     if state.outlook is not None and not _missing(settings, state):
         view, best_m = next_view(state.outlook)
-        return replace(state, asked=(view,), asked_s=now_s, best_m=best_m, for_camera="")
+        return _asked(replace(state, best_m=best_m, for_camera=""), (view,), now_s)
     views, missing, camera = state.asked[1:], _missing(settings, state), state.for_camera
     if views and (not camera or camera in missing):
-        return replace(state, asked=views, asked_s=now_s)
+        return _asked(state, views, now_s)
     description, limits_rad = settings.description, settings.limits_rad
     seed = settings.seed + state.rounds
     if state.rounds and missing:
@@ -192,7 +200,12 @@ def _ask(settings: CaptureSettings, state: CaptureState, now_s: float) -> Captur
         )
     else:
         camera, views = "", first_views(description, limits_rad, seed=seed)
-    return replace(state, asked=views, asked_s=now_s, rounds=state.rounds + 1, for_camera=camera)
+    return _asked(replace(state, rounds=state.rounds + 1, for_camera=camera), views, now_s)
+
+
+def _asked(state: CaptureState, views: tuple[View, ...], now_s: float) -> CaptureState:
+    in_place = state.in_place and views[0].board_stays
+    return replace(state, asked=views, asked_s=now_s, in_place=in_place)
 
 
 def _missing(settings: CaptureSettings, state: CaptureState) -> tuple[str, ...]:
@@ -245,7 +258,7 @@ def step_capture(
     if not (corners := detect(frame, board, np.inf)):
         return state, ()
     kept = Kept(replace(frame, images={}), corners, _placement(settings, state, frame))
-    state = replace(state, kept=(*state.kept, kept))
+    state = replace(state, kept=(*state.kept, kept), in_place=True)
     if state.outlook is not None:
         state = replace(state, outlook=_with_views(settings, state, state.outlook, (kept,)))
     state = _ask(settings, state, now_s)
@@ -302,13 +315,13 @@ def _differs(settings: CaptureSettings, state: CaptureState, frame: Frame, view:
 
 
 def _placement(settings: CaptureSettings, state: CaptureState, frame: Frame) -> int:
-    """Number the board's place in the head: that of the view before, if it was asked to stay."""
+    """Number the board's place in the head: that of the view before, if it has stayed."""
     if not state.kept:
         return 0
     last, now = state.kept[-1], state.T_lbase_board
     first = next(view for view in state.kept if view.placement == last.placement)
     neck = np.abs(frame.neck_angles - first.frame.neck_angles)
-    stays = state.asked[0].board_stays and bool((neck < NECK_MOVED_RAD).all())
+    stays = state.in_place and bool((neck < NECK_MOVED_RAD).all())
     if stays and state.outlook is not None and now is not None:
         before = _located(settings, state.head, last.corners, last.frame.eye_angles)
         if before is not None:
@@ -331,7 +344,7 @@ def _with_views(
 def _step_sweep(
     state: CaptureState, sweep: Sweep, frame: Frame
 ) -> tuple[CaptureState, tuple[DatasetRow, ...]]:
-    """Collect the frames of a sweep; at its end they are kept if they suffice."""
+    """Collect the frames of a sweep; at its end the longest run of them is kept if it suffices."""
     if frame.time_s - sweep.begin_s < SWEEP_S:
         last_s = sweep.rows[-1][0].frame.time_s if sweep.rows else -np.inf
         if state.watched.corners and frame.time_s > last_s + SWEEP_STEP_S:
@@ -342,9 +355,13 @@ def _step_sweep(
             sweep = replace(sweep, rows=(*sweep.rows, (DatasetRow(copied, place, True), view)))
         return replace(state, sweep=sweep), ()
     state = replace(state, sweep=None, asked_s=frame.time_s)
-    if len(sweep.rows) < SWEEP_ROWS:
+    times_s = np.array([row.frame.time_s for row, _ in sweep.rows])
+    ends = np.flatnonzero(np.diff(times_s) > MAX_GAP_S) + 1  # where the board was out of sight
+    parts = np.split(np.arange(len(times_s)), ends)
+    longest = max(parts, key=len)
+    if len(longest) < SWEEP_ROWS:
         return state, ()
-    rows, views = zip(*sweep.rows, strict=True)
+    rows, views = zip(*(sweep.rows[k] for k in longest), strict=True)
     return replace(state, kept=(*state.kept, *views)), rows
 
 

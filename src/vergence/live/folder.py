@@ -31,7 +31,7 @@ class FolderHead:
         """Read dataset.json; VergenceError if it is missing."""
         self.description = load_description(folder)
         self._table, self._rows, self._time_s = folder / FRAMES, 0, 0.0
-        self._waits_s = time.monotonic()
+        self._fails_s: float | None = None
 
     def now_s(self) -> float:
         """Return the time of the latest frame [s]."""
@@ -42,17 +42,17 @@ class FolderHead:
         rows = self._table.read_text("utf-8").count("\n") - 1 if self._table.exists() else 0
         if rows <= self._rows:
             time.sleep(POLL_S)
-            self._waits_s = time.monotonic()
             return None
         try:
             dataset = load_dataset(self._table.parent)
             frame = dataset.frame(len(dataset) - 1)
         except VergenceError:
-            if time.monotonic() > self._waits_s + TORN_S:
+            self._fails_s = self._fails_s or time.monotonic()
+            if time.monotonic() > self._fails_s + TORN_S:
                 raise
             time.sleep(POLL_S)
             return None
-        self._rows, self._time_s = rows, frame.time_s
+        self._rows, self._time_s, self._fails_s = rows, frame.time_s, None
         return frame
 
     def command(self, command: HeadCommand) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
-from vergence.data.writer import DatasetRow
+from vergence.data.writer import DatasetRow, check_images
 from vergence.gaze.commands import HeadCommand, HeadDriver, JointLimits, hold, setpoint
 from vergence.geometry.head import main_cameras
 from vergence.live.capture import (
@@ -64,6 +64,7 @@ def run_capture(
                 continue
             last_s = frame.time_s
             if shift_s is None:
+                check_images(settings.description, frame)
                 shift_s = max(0.0, kept_s + AFTER_S - frame.time_s)
             moved_s = frame.time_s + shift_s, frame.joint_time_s + shift_s
             frame = replace(frame, time_s=moved_s[0], joint_time_s=moved_s[1])

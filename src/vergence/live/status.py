@@ -24,8 +24,8 @@ def status(settings: CaptureSettings, state: CaptureState) -> str:
         f"{goal_mm:g} mm",
         f"next: {next_step(settings, state)}",
     ]
-    if missing := _missing(settings, state):
-        lines.append(f"missing: {missing}")
+    if not state.finished:
+        lines.append(f"missing: {_missing(settings, state)}")
     return "\n".join(lines)
 
 
