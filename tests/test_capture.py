@@ -17,7 +17,6 @@ from guided_capture import AtOnce, HeadWithoutImages, on_paper, share_inside, si
 from simulated_recording import BOARD
 from vergence.cli import parsed
 from vergence.data.growing import add_rows, begin_dataset
-from vergence.demos import simulated_person
 from vergence.live import capture
 from vergence.live.capture import CaptureSettings, CaptureState, begin_capture
 from vergence.live.folder import FolderHead
@@ -240,19 +239,6 @@ def test_coverage_counts_cells_with_corners():
     kept = Kept(vg.Frame(0.0, 0.0, np.zeros(4), np.empty(0), {}), {"left": corners}, 0)
     assert coverage((kept,), "left", (640, 480)) == pytest.approx(2 / 48)
     assert coverage((kept,), "right", (640, 480)) == 0.0
-
-
-@pytest.mark.slow
-def test_the_command_captures_with_a_driver_and_calibrates(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(simulated_person, "MOVE_S", 0.5)  # fewer images to draw
-    out = tmp_path / "d"
-    report = parsed(["capture", *DRAWN, "--out", str(out), "--goal-mm", "30"])()
-    told = capsys.readouterr().err
-    assert "the accuracy is reached" in told
-    assert re.search(r"next: move the board \d+ cm", told)
-    assert "left_wide covered to" in told
-    assert vg.load_head(out / "calibration.json").accuracy is not None
-    assert "VOID" not in report.summary()
 
 
 @pytest.mark.parametrize(

@@ -160,6 +160,10 @@ def test_a_robot_on_a_bus_is_captured_calibrated_and_fixates(robot, tmp_path, mo
     monkeypatch.chdir(tmp_path)
     driver = "--driver", "robot_on_a_bus:head"
     vergence(monkeypatch, "capture", *driver, "--out", "recording", "--goal-mm", "15")
+    told = capsys.readouterr().err
+    assert "the accuracy is reached" in told
+    assert "next: move the board" in told
+    assert "left_wide covered to" in told
     vergence(monkeypatch, "calibrate", "recording", "--out", "head.json")
     robot.T_lbase_board, robot.object_lbase = lambda time_s: None, np.array([0.6, -0.15, 0.1])
     capsys.readouterr()
