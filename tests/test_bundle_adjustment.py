@@ -275,6 +275,7 @@ def test_an_estimate_without_a_minimum_ends_after_some_rounds_and_says_so(monkey
         return replace(found, x=found.x if len(rounds) % 2 else first, converged=False)
 
     monkeypatch.setattr(adjustment, "least_squares", lost)
+    monkeypatch.setattr(adjustment, "FAILURES", 2)  # to save time
     _, observed, start = simulated(33, NOISY)
     (said,) = texts(bundle_adjust(start, observed).findings, "void")
     assert len(rounds) <= 2 * adjustment.FAILURES + 1  # also with boards that may have moved

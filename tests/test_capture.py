@@ -17,7 +17,8 @@ from guided_capture import AtOnce, HeadWithoutImages, on_paper, share_inside, si
 from simulated_recording import BOARD
 from vergence.cli import parsed
 from vergence.data.growing import add_rows, begin_dataset
-from vergence.live import capture
+from vergence.demos import simulated_person
+from vergence.live import capture, session
 from vergence.live.capture import CaptureSettings, CaptureState, begin_capture
 from vergence.live.folder import FolderHead
 from vergence.live.kept import Kept, kept_in
@@ -193,7 +194,7 @@ for k in range(len(growing.rows), 10_000):
 def test_a_killed_capture_loses_the_frame_in_hand_at_most(tmp_path):
     rng, written = np.random.default_rng(0), 0
     path = [str(Path(__file__).parents[1] / "benchmarks"), *sys.path]
-    for _ in range(3):
+    for _ in range(2):
         with subprocess.Popen(
             [sys.executable, "-c", WRITER, str(tmp_path / "d")],
             stdout=subprocess.PIPE,
@@ -239,6 +240,22 @@ def test_coverage_counts_cells_with_corners():
     kept = Kept(vg.Frame(0.0, 0.0, np.zeros(4), np.empty(0), {}), {"left": corners}, 0)
     assert coverage((kept,), "left", (640, 480)) == pytest.approx(2 / 48)
     assert coverage((kept,), "right", (640, 480)) == 0.0
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("two_folds")
+def test_the_command_captures_with_a_driver_and_calibrates(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(simulated_person, "MOVE_S", 0.2)  # fewer images to draw
+    monkeypatch.setattr(capture, "STILL_S", 0.2)
+    monkeypatch.setattr(session, "ThreadPoolExecutor", lambda count: AtOnce())
+    out = tmp_path / "d"
+    report = parsed(["capture", *DRAWN, "--out", str(out), "--goal-mm", "40"])()
+    told = capsys.readouterr().err
+    assert "the accuracy is reached" in told
+    assert re.search(r"next: move the board \d+ cm", told)
+    assert "left_wide covered to" in told
+    assert vg.load_head(out / "calibration.json").accuracy is not None
+    assert "VOID" not in report.summary()
 
 
 @pytest.mark.parametrize(
