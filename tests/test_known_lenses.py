@@ -44,6 +44,16 @@ def test_a_lens_that_is_known_exactly_is_kept_and_two_views_place_its_camera():
     assert chi2 / len(off) < 2
 
 
+def test_a_camera_of_a_known_lens_that_sees_no_board_is_named():
+    rng = np.random.default_rng(5)
+    truth = random_head(rng, lenses=("wide",))
+    seen = record(truth, rng, Recording(straight=4, orientations=4))
+    corners = {**seen.corners, "right_wide": np.full_like(seen.corners["right_wide"], np.nan)}
+    known = {"right_wide": (truth.cameras["right_wide"].intrinsics, 0.0)}
+    with pytest.raises(VergenceError, match=r"right_wide: .* views of the board, found 0"):
+        calibrate(replace(seen, corners=corners, known_lenses=known), lens="radial-tangential")
+
+
 @pytest.mark.slow
 def test_stated_deviations_hold_where_boards_of_one_slant_leave_the_lens_to_what_is_known():
     squares, tighter = [], []

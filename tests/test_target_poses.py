@@ -133,6 +133,8 @@ def test_wrong_arguments_are_refused():
     poses, readings = measured(head, rng, views=10)
     with pytest.raises(VergenceError, match=r"poses by left_wide of shape \(10, 4, 4\)"):
         adjust_target_poses({"left_wide": poses["left_wide"][:5]}, readings, eyes=EYES_OF)
+    with pytest.raises(VergenceError, match="T_cam_target names no camera"):
+        adjust_target_poses({}, readings, eyes={})
     with pytest.raises(VergenceError, match="in which eye right_wide"):
         adjust_target_poses(poses, readings, eyes={"left_wide": "left"})
     with pytest.raises(VergenceError, match=r"need eye of shape \(10, 4\)"):

@@ -80,7 +80,7 @@ USUAL_JOINT = 0.002
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """What is known of the noise before the data are; VergenceError for what no noise is."""
+    """Noise that is known before the adjustment; VergenceError for levels that are impossible."""
 
     pixel_std_px: float | None = None
     """Of one coordinate of a corner, or the factor on the stated deviations of measured poses;

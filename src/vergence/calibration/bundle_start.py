@@ -62,8 +62,6 @@ votes on a board's place; far beyond the errors of a good start."""
 MEASURING_M = 0.02
 """Standard deviation of an eye's place from which measured poses, good to a fraction of a
 millimetre, determine lengths better than a printed board does."""
-
-
 CONTRADICTS, ALIKE_M, ALIKE_PX = 10.0, 1e-3, 1.0
 """Multiple of the median distance, of boards and of corners, from which a view contradicts others,
 and distances that contradict nothing: those of single images, and of starts that are good."""

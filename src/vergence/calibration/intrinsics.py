@@ -67,7 +67,8 @@ def calibrate_intrinsics(
     found = {}
     for name, corners in observations.corners.items():
         known = observations.known_lenses.get(name)
-        before = None if known is None else _known_intrinsics(*known, corners, points)
+        shown = determines_pose(points, seen_corners(corners)).any()
+        before = _known_intrinsics(*known, corners, points) if known and shown else None
         try:
             found[name] = calibrate_camera(
                 corners, points, size=observations.sizes[name], lens_model=models[name]

@@ -75,6 +75,8 @@ def adjust_target_poses(
     wanted = {"eye": (eye, (V, 2, 4, 4) if measured_eyes else (V, len(kinematics.readings)))}
     wanted |= {f"poses by {name}": (T, (V, 4, 4)) for name, T in T_cam_target.items()}
     check_shapes("Poses of a target", V, {**wanted, "placement": (placement, (V,))})
+    if not T_cam_target:
+        raise VergenceError("There are no poses of a target: T_cam_target names no camera.")
     for name in T_cam_target:
         if eyes.get(name) not in EYES:
             raise VergenceError(f"eyes does not say in which eye {name} sits, left or right.")

@@ -1,7 +1,4 @@
-"""Dense depth while the twin's eyes move, and its error.
-
-The truth is used for the errors, and to refuse a calibration of another head.
-"""
+"""Dense depth while the twin's eyes move, and its error; the truth is used for the errors only."""
 
 from __future__ import annotations
 

@@ -21,8 +21,6 @@ _NARROW = 0.5
 """Least width of the outermost squares, in squares: that of many printed boards."""
 _CLEAR = 0.25
 """Least difference of a white or black grey level from the middle, over the contrast."""
-
-
 SEARCHED_PX = 2_500_000
 """Largest image in which a chessboard is searched [pixels]: OpenCV's method by sectors takes up to
 340 bytes a pixel. Larger images are shrunk for the search, and corners are refined in them."""
