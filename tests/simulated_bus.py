@@ -13,8 +13,7 @@ import tty
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 
-PING, READ, WRITE, SYNC_READ, SYNC_WRITE = 0x01, 0x02, 0x03, 0x82, 0x83
-BROADCAST = 0xFE
+SYNC_READ, SYNC_WRITE = 0x82, 0x83
 
 
 @dataclass
@@ -44,12 +43,11 @@ class SimulatedServo:
 
 @dataclass(frozen=True)
 class Registers:
-    """Addresses of a family of servos, and the bytes of goal and position."""
+    """Addresses of a family of servos."""
 
     torque: int
     goal: int
     position: int
-    size: int
 
 
 class SimulatedBus:
@@ -63,8 +61,6 @@ class SimulatedBus:
         """Servos that do not answer."""
         self.damage: Callable[[int, bytes], bytes] = lambda servo, answer: answer
         """What the line does to the answer of a servo."""
-        self.instructions: list[int] = []
-        """Those received, in their order."""
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)
         self.port = os.ttyname(self._slave)
@@ -82,12 +78,10 @@ class SimulatedBus:
         while self._open:
             if select.select([self._master], [], [], 0.05)[0]:
                 self._received += os.read(self._master, 4096)
-                for servo, instruction, parameters in self.packets():
-                    self.instructions.append(instruction)
-                    answers = b"".join(self._answers(servo, instruction, parameters))
-                    os.write(self._master, answers)
+                for instruction, parameters in self.packets():
+                    os.write(self._master, b"".join(self._answers(instruction, parameters)))
 
-    def _answers(self, servo: int, instruction: int, parameters: bytes) -> Iterator[bytes]:
+    def _answers(self, instruction: int, parameters: bytes) -> Iterator[bytes]:
         w = self.width
         address = int.from_bytes(parameters[:w], "little")
         length = int.from_bytes(parameters[w : 2 * w], "little")
@@ -97,21 +91,12 @@ class SimulatedBus:
                 self._write(rest[k], address, rest[k + 1 : k + 1 + length])
         elif instruction == SYNC_READ:
             for each in parameters[2 * w :]:
-                yield from self._answer(each, self._read(each, address, length))
-        elif instruction == READ:
-            yield from self._answer(servo, self._read(servo, address, length))
-        elif instruction == WRITE:
-            self._write(servo, address, parameters[w:])
-            yield from self._answer(servo, b"")
-        elif instruction == PING:
-            yield from self._answer(servo, self.ping_data)
-
-    def _answer(self, servo: int, data: bytes) -> Iterator[bytes]:
-        if servo in self.servos and servo not in self.silent:
-            yield self.damage(servo, self.status(servo, data))
+                if each in self.servos and each not in self.silent:
+                    data = self._read(each, address, length)
+                    yield self.damage(each, self.status(each, data))
 
     def _read(self, servo: int, address: int, length: int) -> bytes:
-        if servo not in self.servos or address != self.registers.position:
+        if address != self.registers.position:
             return bytes(length)
         ticks = round(self.servos[servo].at(time.monotonic()))
         return (ticks % (1 << (8 * length))).to_bytes(length, "little")
@@ -127,10 +112,9 @@ class SimulatedBus:
 
     width: int
     """Bytes of an address and of a length."""
-    ping_data: bytes
 
-    def packets(self) -> Iterator[tuple[int, int, bytes]]:
-        """Take whole packets out of what was received: servo, instruction, parameters."""
+    def packets(self) -> Iterator[tuple[int, bytes]]:
+        """Take whole packets out of what was received: instruction, parameters."""
         raise NotImplementedError
 
     def status(self, servo: int, data: bytes) -> bytes:
@@ -151,10 +135,10 @@ def crc16(data: bytes) -> int:
 class DynamixelLine(SimulatedBus):
     """X series: FF FF FD 00, id, length, instruction, parameters, CRC."""
 
-    registers, width, ping_data = Registers(64, 116, 132, 4), 2, bytes([0xB0, 0x04, 46])
+    registers, width = Registers(64, 116, 132), 2
     HEADER = b"\xff\xff\xfd\x00"
 
-    def packets(self) -> Iterator[tuple[int, int, bytes]]:
+    def packets(self) -> Iterator[tuple[int, bytes]]:
         while (at := self._received.find(self.HEADER)) >= 0 and len(self._received) >= at + 7:
             end = at + 7 + int.from_bytes(self._received[at + 5 : at + 7], "little")
             if len(self._received) < end:
@@ -162,7 +146,7 @@ class DynamixelLine(SimulatedBus):
             packet, self._received = self._received[at:end], self._received[end:]
             if crc16(packet[:-2]) == int.from_bytes(packet[-2:], "little"):
                 body = packet[7:-2].replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
-                yield packet[4], body[0], body[1:]
+                yield body[0], body[1:]
 
     def status(self, servo: int, data: bytes) -> bytes:
         body = b"\x55\x00" + data
@@ -174,17 +158,17 @@ class DynamixelLine(SimulatedBus):
 class FeetechLine(SimulatedBus):
     """STS series: FF FF, id, length, instruction, parameters, inverted sum."""
 
-    registers, width, ping_data = Registers(40, 42, 56, 2), 1, b""
+    registers, width = Registers(40, 42, 56), 1
     HEADER = b"\xff\xff"
 
-    def packets(self) -> Iterator[tuple[int, int, bytes]]:
+    def packets(self) -> Iterator[tuple[int, bytes]]:
         while (at := self._received.find(self.HEADER)) >= 0 and len(self._received) >= at + 4:
             end = at + 4 + self._received[at + 3]
             if len(self._received) < end:
                 return
             packet, self._received = self._received[at:end], self._received[end:]
             if ~sum(packet[2:-1]) & 0xFF == packet[-1]:
-                yield packet[2], packet[4], packet[5:-1]
+                yield packet[4], packet[5:-1]
 
     def status(self, servo: int, data: bytes) -> bytes:
         packet = bytes([servo, len(data) + 2, 0]) + data
