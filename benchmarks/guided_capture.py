@@ -96,9 +96,7 @@ class HeadWithoutImages:
 
     def follow(self, state: CaptureState, frame: Frame) -> None:
         """Let the person follow the guide."""
-        if state.sweep is None:
-            view = state.asked[0]
-            self.person.ask(view.T_lbase_target, view.board_stays, self.time_s)
+        self.person.follow(state, self.time_s)
 
 
 @dataclass(frozen=True)

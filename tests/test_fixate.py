@@ -5,11 +5,9 @@ from __future__ import annotations
 import json
 import os
 import sys
-import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -26,9 +24,10 @@ from vergence.errors import VergenceError
 from vergence.gaze.commands import hold
 from vergence.geometry.head import load_head, save_head
 from vergence.geometry.kinematics import EYE_JOINTS
-from vergence.live import capture, session
+from vergence.live import capture
 from vergence.live.capture import CaptureState
 from vergence.live.fixate import fixate
+from vergence.live.uvc_servos import UvcServoHead
 
 
 class DrawnDriver(DrawnHead):
@@ -146,19 +145,13 @@ def test_a_robot_on_a_bus_is_captured_calibrated_and_fixates(robot, tmp_path, mo
     """A person with a quick hand holds the board where the capture asks for it."""
     monkeypatch.setattr(simulated_person, "MOVE_S", 0.2)
     monkeypatch.setattr(capture, "STILL_S", 0.2)
-    person, run_capture = Person(0), session.run_capture
+    person = Person(0)
     robot.T_lbase_board = person.board
 
-    def before_person(*args: Any, look: session.Look, **options: Any) -> CaptureState:
-        def follow(state: CaptureState, frame: Frame) -> None:
-            look(state, frame)
-            if state.sweep is None:
-                view = state.asked[0]
-                person.ask(view.T_lbase_target, view.board_stays, time.monotonic())
+    def follow(driver: UvcServoHead, state: CaptureState, frame: Frame) -> None:
+        person.follow(state, driver.now_s())
 
-        return run_capture(*args, look=follow, **options)
-
-    monkeypatch.setattr(session, "run_capture", before_person)
+    monkeypatch.setattr(UvcServoHead, "follow", follow, raising=False)
     monkeypatch.chdir(tmp_path)
     driver = "--driver", "robot_on_a_bus:head"
     vergence(monkeypatch, "capture", *driver, "--out", "recording", "--goal-mm", "40")
@@ -167,7 +160,6 @@ def test_a_robot_on_a_bus_is_captured_calibrated_and_fixates(robot, tmp_path, mo
     assert "next: move the board" in told
     assert "left_wide covered to" in told
     robot.T_lbase_board, robot.object_lbase = lambda time_s: None, np.array([0.6, -0.15, 0.1])
-    capsys.readouterr()
     calibration = "--calibration", "recording/calibration.json"
     vergence(monkeypatch, "foveate", *driver, *calibration, "--seconds", "2.5")
     found = json.loads(capsys.readouterr().out)

@@ -49,6 +49,12 @@ class Person:
         self._to = pose(R, T_lbase_target[:3, 3] + shift)
         self._begin_s, self._arrives_s = time_s, time_s + MOVE_S
 
+    def follow(self, state: CaptureState, time_s: float) -> None:
+        """Hold the board where the guide of a capture asks for it."""
+        if state.sweep is None:
+            view = state.asked[0]
+            self.ask(view.T_lbase_target, view.board_stays, time_s)
+
     def board(self, time_s: float) -> Array:
         """Compute where the board is (4, 4) at a time."""
         part = float(np.clip((time_s - self._begin_s) / MOVE_S, 0.0, 1.0))
@@ -78,9 +84,7 @@ class TwinBeforePerson(SimulatedHead):
 
     def follow(self, state: CaptureState, frame: Frame) -> None:
         """Let the person follow the guide of a capture."""
-        if state.sweep is None:
-            view = state.asked[0]
-            self.person.ask(view.T_lbase_target, view.board_stays, self.now_s())
+        self.person.follow(state, self.now_s())
 
     def close(self) -> None:
         """Leave the twin as it is; who made it closes it."""
