@@ -71,7 +71,6 @@ def log_moment(rec: rr.RecordingStream, index: int) -> None:
 def test_only_this_computer_is_served_and_nothing_is_left_afterwards(capsys):
     port = two_free_ports()
     with open_viewer(serve=port) as viewer:
-        assert viewer is not None
         assert listening(port, port + 1) == ["0100007F", "0100007F"]
         with pytest.raises(VergenceError, match=f"two free ports.* {port}: "), open_viewer(port):
             pass
@@ -101,7 +100,6 @@ def test_a_viewer_that_goes_away_or_hangs_delays_nothing(
     monkeypatch.setattr(live, "END_S", 0.5)
     file, calls_s = tmp_path / "run.rrd", []
     with open_viewer(serve=two_free_ports()) as viewer:
-        assert viewer is not None
         with open_feed("test", file=file, viewer=viewer) as feed:
             for index in range(100):
                 if index == 20 and disturbance is not None:

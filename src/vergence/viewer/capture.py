@@ -20,7 +20,6 @@ from vergence.geometry.kinematics import EYES
 from vergence.geometry.projection import eye_pose_in_left_base
 from vergence.live.capture import CaptureSettings, CaptureState
 from vergence.live.guide import board_of, outlines
-from vergence.live.kept import Kept
 from vergence.live.status import status
 from vergence.viewer import style
 from vergence.viewer.layouts import (
@@ -65,13 +64,11 @@ def capture_log(feed: Feed, settings: CaptureSettings) -> Callable[[CaptureState
 
     def look(state: CaptureState, frame: Frame) -> None:
         nonlocal index, kept, head
-        if not feed.used:
-            return
         if state.head is not head:
             feed.always(log_cameras, state.head)
             head = state.head
         if len(state.kept) > kept:
-            feed.always(_log_kept, settings, state, state.kept[kept:], frame.time_s, index)
+            feed.always(_log_kept, settings, state, frame.time_s, index)
             kept = len(state.kept)
         # Copies, since a driver may write its next images into the same arrays.
         images = {name: np.array(image) for name, image in frame.images.items()}
@@ -133,7 +130,6 @@ def _log_kept(
     rec: rr.RecordingStream,
     settings: CaptureSettings,
     state: CaptureState,
-    views: tuple[Kept, ...],
     time_s: float,
     index: int,
 ) -> None:
@@ -142,7 +138,7 @@ def _log_kept(
     if state.accuracy_m is not None:
         rec.log("accuracy", rr.Scalars([1e3 * state.accuracy_m, 1e3 * settings.goal_m]))
     for name, entity in camera_entities(state.head).items():
-        if any(name in view.corners for view in views):
-            seen = np.concatenate([v.corners[name] for v in state.kept if name in v.corners])
+        if views := [v.corners[name] for v in state.kept if name in v.corners]:
+            seen = np.concatenate(views)
             seen = seen[np.isfinite(seen).all(axis=1)] + 0.5
             rec.log(f"{entity}/kept", rr.Points2D(seen, colors=KEPT, radii=-1.0))

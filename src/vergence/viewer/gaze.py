@@ -101,7 +101,7 @@ def watch_gaze(feed: Feed, settings: GazeSettings) -> Callable[[GazeState, Frame
 
     def watch(state: GazeState, frame: Frame | None) -> None:
         nonlocal count, phase
-        if frame is None or not feed.used:
+        if frame is None:
             return
         if not count and state.geometry is not None:
             feed.always(log_seen_styles, head, state.geometry.state)

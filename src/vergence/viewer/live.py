@@ -74,17 +74,16 @@ def open_viewer(serve: int | None = None) -> Iterator[Viewer]:
     The page takes recordings on the next port. It ends with the block, while a window stays open.
     VergenceError if a port is taken, or no window can be opened.
     """
-    port = _free_port(serve or 0)
-    program, options, page = ["-m", "rerun_cli"], ["--bind", HOST], None
-    if serve is not None:
-        program, options = ["-c", _GUARDED], [*options, "--serve-web", f"--web-viewer-port={port}"]
-        port = _free_port(port + 1)
+    page_port = None if serve is None else _free_port(serve)
+    port = _free_port(0 if page_port is None else page_port + 1)
     address = f"rerun+http://{HOST}:{port}/proxy"
-    if serve is not None:
-        page = f"http://{HOST}:{port - 1}/?url={quote(address, safe='')}"
+    program, page = ["-m", "rerun_cli"], None
+    if page_port is not None:
+        program = ["-c", _GUARDED, "--serve-web", f"--web-viewer-port={page_port}"]
+        page = f"http://{HOST}:{page_port}/?url={quote(address, safe='')}"
     with tempfile.TemporaryFile() as messages:
         process = subprocess.Popen(
-            [sys.executable, *program, *options, f"--port={port}"],
+            [sys.executable, *program, f"--bind={HOST}", f"--port={port}"],
             stdin=subprocess.PIPE if page else subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=messages,
@@ -160,11 +159,6 @@ class Feed:
     file: rr.RecordingStream | None = None
     waiting: Waiting | None = None
     """What the viewer's thread has to do."""
-
-    @property
-    def used(self) -> bool:
-        """Whether anything is recorded or shown."""
-        return self.file is not None or self.waiting is not None
 
     def __call__(self, log: Log, *args: Any, **kwargs: Any) -> None:
         """Record a moment by log(recording, ...); a viewer that lags does not get it."""
