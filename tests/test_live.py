@@ -6,23 +6,29 @@ import socket
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import rerun as rr
+from rerun.chunk import RrdReader
 
+from guided_capture import simulated
 from rrd import read_series
 from vergence.data.dataset import Frame
 from vergence.errors import VergenceError
 from vergence.gaze.controller import run_gaze
 from vergence.gaze.state import GazeSettings, GazeState, initial_gaze_state
+from vergence.live.capture import CaptureState, begin_capture
+from vergence.live.session import run_capture
 from vergence.twin.head import Twin
 from vergence.twin.profile import ErrorProfile
 from vergence.twin.simulated_robot import SimulatedHead
 from vergence.viewer import live
+from vergence.viewer.capture import capture_blueprint, capture_log
 from vergence.viewer.gaze import watch_gaze
-from vergence.viewer.layouts import gaze_blueprint
+from vergence.viewer.layouts import camera_entities, gaze_blueprint
 from vergence.viewer.live import Viewer, open_feed, open_viewer
 from vergence.viewer.recording import set_time
 
@@ -152,6 +158,32 @@ def test_killing_the_viewer_changes_neither_the_commands_nor_the_recording(tmp_p
         series = [read_series(tmp_path / name, curve) for name in ("shown.rrd", "unseen.rrd")]
         np.testing.assert_array_equal(*series)
         assert len(series[0][0]) == len(shown)
+
+
+def test_a_capture_shows_every_frame_and_all_corners_that_were_kept(tmp_path):
+    head, settings = simulated(0, 0.006)
+    read, file, image = head.read, tmp_path / "capture.rrd", np.zeros((480, 640, 3), np.uint8)
+    head.read = lambda names: replace(read(names), images=dict.fromkeys(names, image))
+    state, times_s = begin_capture(settings), []
+    with open_feed("test", capture_blueprint(state.head), file=file) as feed:
+        show = capture_log(feed, settings)
+
+        def look(state: CaptureState, frame: Frame) -> None:
+            show(state, frame)
+            times_s.append(frame.time_s)
+            head.follow(state, frame)
+
+        state = run_capture(
+            head, settings, state, lambda rows: None, until_s=20.0, detect=head.detect, look=look
+        )
+    for name, entity in camera_entities(state.head).items():
+        shown_s, _ = read_series(file, f"/{entity}/image", component="EncodedImage:blob")
+        np.testing.assert_allclose(shown_s, times_s, atol=1e-6)
+        chunks = RrdReader(file).stream().filter(content=f"/{entity}/kept")
+        rows = [chunk.to_record_batch().column("Points2D:positions") for chunk in chunks]
+        shown = max((row for column in rows for row in column.to_pylist()), key=len)
+        wanted = np.concatenate([v.corners[name] for v in state.kept if name in v.corners])
+        np.testing.assert_allclose(shown, wanted + 0.5, atol=1e-3)  # positions are float32
 
 
 def test_a_window_that_cannot_open_is_explained(monkeypatch):
