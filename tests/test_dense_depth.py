@@ -286,6 +286,21 @@ def test_depth_by_what_both_eyes_see_is_better_than_by_wrong_joints(tmp_path, mo
     assert "seen by both eyes" in (out / "report.md").read_text()
 
 
+@pytest.mark.render
+def test_depth_of_the_twin_by_a_calibration_of_other_cameras_is_refused(
+    tmp_path, monkeypatch, capsys
+):
+    head = nominal_head("2.8mm")
+    renamed = {name.replace("wide", "outer"): each for name, each in head.cameras.items()}
+    save_head(replace(head, cameras=renamed), tmp_path / "head.json")
+    with pytest.raises(SystemExit):
+        depth(
+            monkeypatch, "--twin", "--calibration", str(tmp_path / "head.json"),
+            "--out", str(tmp_path / "depth"),
+        )  # fmt: skip
+    assert "No camera is called 'left_wide'" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.data.dataset import Frame
+from vergence.data.dataset import Frame, check_fits
 from vergence.demos.experiment import LOOKING, Experiment
 from vergence.geometry.camera import project, unproject
 from vergence.geometry.head import HeadCalibration, pair_names
@@ -28,6 +28,7 @@ from vergence.stereo.dense_depth import DenseDepth
 from vergence.stereo.extrinsics import relative_camera_pose, stereo_cameras
 from vergence.stereo.rectification import RectifiedPair, rectified_pixels, rectified_points
 from vergence.twin.head import Twin
+from vergence.twin.record import describe_twin
 from vergence.twin.simulated_robot import calibrate_twin, divergent_motion, learn_by_looking
 
 PairErrors = tuple[Array, Array, float]
@@ -122,13 +123,15 @@ def twin_depth(
     """Compute dense depth over the divergent motion of a twin, in a `with` block.
 
     Without a calibration the twin is calibrated first, by the paper's method. With the geometry
-    "seen" it looks around first.
+    "seen" it looks around first. VergenceError for a calibration of other cameras or readings.
     """
     with experiment.twin() as twin:
         reading_std = None
         if calibration is None:
             settings = calibrate_twin(twin, experiment.seed, progress)
             calibration, reading_std = settings.calibration, settings.reading_std
+        described = describe_twin(twin.truth, None, "")
+        check_fits(described, calibration, "the twin", pair_names(twin.truth))
         errors: dict[str, list[PairErrors]] = defaultdict(list)
         found = _pairs(twin, calibration, pairs, experiment.geometry, reading_std, errors)
         yield DepthSequence(

@@ -227,7 +227,7 @@ def _sweep(twin: Twin, time_s: float) -> Array:
     return within(_ranges(twin), readings, 0.2 / factors)
 
 
-def describe_twin(head: HeadCalibration, board: Board, note: str) -> Description:
+def describe_twin(head: HeadCalibration, board: Board | None, note: str) -> Description:
     """Describe the dataset of a head as designed."""
     cameras = {
         name: DatasetCamera(
