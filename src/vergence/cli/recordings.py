@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Literal
@@ -58,6 +57,8 @@ def import_recording(
 
 def _listed(source: Path, place: Path) -> Report:
     """List what is in a recording, and write a first map unless there is one."""
+    import numpy as np
+
     from vergence.recordings.first_map import first_map
     from vergence.recordings.formats import open_recording
     from vergence.recordings.recording_map import UNKNOWN, load_map
@@ -72,15 +73,16 @@ def _listed(source: Path, place: Path) -> Report:
         scanned = scan(recording, progress=progress)
         text = "" if there else first_map(scanned)
         channels = recording.channels
-    stamps = {channel: set(track.stamp_ns.tolist()) for channel, track in scanned.images.items()}
+    stamps = {channel: [track.stamp_ns] for channel, track in scanned.images.items()}
     for (channel, _), track in scanned.joints.items():  # a message may have some of the joints
-        stamps.setdefault(channel, set()).update(track.stamp_ns.tolist())
+        stamps.setdefault(channel, []).append(track.stamp_ns)
     rows = []
     for name, each in channels.items():
-        steps_s = sorted((b - a) * 1e-9 for a, b in pairwise(sorted(stamps.get(name, ()))))
-        rate = f"{1 / step:.3g}" if steps_s and (step := steps_s[len(steps_s) // 2]) > 0 else ""
+        times_ns = np.unique(np.concatenate(stamps.get(name, [np.empty(0)])))
+        steps_s = np.sort(np.diff(times_ns)) * 1e-9
+        rate = f"{1 / steps_s[len(steps_s) // 2]:.3g}" if len(steps_s) else ""
         size = "x".join(map(str, scanned.sizes[name])) if name in scanned.sizes else ""
-        gap = f"{steps_s[-1]:.3g}" if steps_s else ""
+        gap = f"{steps_s[-1]:.3g}" if len(steps_s) else ""
         rows.append((name, each.type, each.count, rate, gap, scanned.errors.get(name, size)))
     heading = "channel | type | messages | per second | largest gap [s] | size"
     parts = [markdown_table(heading, rows)]
