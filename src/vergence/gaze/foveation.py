@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from vergence.arrays import Array
 from vergence.errors import VergenceError
-from vergence.gaze.state import EyeCameras, default_roles
+from vergence.gaze.state import EyeCameras, GazeSettings, default_roles
 from vergence.geometry.camera import pinhole, project, unproject
 from vergence.geometry.eye_motion import eye_motion
 from vergence.geometry.head import HeadCalibration, MountedCamera, wide_pose_in_narrow
@@ -26,7 +26,7 @@ from vergence.geometry.kinematics import (
     pan_tilt_along,
     turn_by_readings,
 )
-from vergence.geometry.projection import project_with_jacobians
+from vergence.geometry.projection import project_point, project_with_jacobians
 from vergence.geometry.se3 import checked_points, inverse, transform
 
 
@@ -92,6 +92,17 @@ def gaze_angles(
     }
     targets = {name: points[calibration.camera(name).eye] for name in cameras}
     return solve_fixation(calibration, targets)
+
+
+def best_pixels(settings: GazeSettings, points_lbase: Array) -> tuple[Array, Array]:
+    """Compute the readings (..., r) [rad] that centre points (..., 3) [m], and the pixels then.
+
+    The pixels (..., E, 2) are those in the narrow or only camera of each of the E eyes in use.
+    """
+    head, names = settings.calibration, settings.narrow
+    readings = gaze_angles(head, points_lbase, cameras=names)
+    pixels = [project_point(head, name, readings, points_lbase) for name in names]
+    return readings, np.stack(pixels, axis=-2)
 
 
 _UNIT_LENS = pinhole(1, 1, 1.0)  # its pixels are x/z and y/z

@@ -12,11 +12,10 @@ from vergence.data.dataset import Frame
 from vergence.errors import VergenceError
 from vergence.gaze.commands import HeadCommand, JointLimits
 from vergence.gaze.controller import run_gaze
-from vergence.gaze.foveation import gaze_angles
+from vergence.gaze.foveation import best_pixels
 from vergence.gaze.state import GazeSettings, GazeState, initial_gaze_state
 from vergence.geometry.head import HeadCalibration, base_pose
 from vergence.geometry.neck import Neck
-from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import inverse, transform
 from vergence.live.driver import Driver
 from vergence.progress import Progress, silent
@@ -124,10 +123,9 @@ def fixate(
     names, unknown = settings.narrow, np.full(3, np.nan)
     place = unknown if state.aim is None else state.aim.position
     place = transform(inverse(base_pose(head, "left")), place)
-    readings = gaze_angles(head, place, cameras=names)  # that centre the object
-    wanted = np.array([project_point(head, name, readings, place) for name in names])
+    _, wanted_px = best_pixels(settings, place)
     pixels = np.array([[each.get(name, unknown[:2]) for name in names] for _, each in seen])
-    errors = np.linalg.norm(pixels - wanted, axis=-1)
+    errors = np.linalg.norm(pixels - wanted_px, axis=-1)
     outside = np.flatnonzero(~(errors.max(axis=1) <= SETTLED_PX))
     settled = 0 if not len(outside) else int(outside[-1]) + 1
     return Fixation(

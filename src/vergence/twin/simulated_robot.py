@@ -16,7 +16,7 @@ from vergence.accuracy.motions import PERIOD_S, SLOWEST_S, eye_readings
 from vergence.arrays import Array
 from vergence.data.dataset import Frame
 from vergence.gaze.commands import HeadCommand, hold, setpoint
-from vergence.gaze.foveation import gaze_angles
+from vergence.gaze.foveation import best_pixels
 from vergence.gaze.state import GazeSettings
 from vergence.geometry.head import HeadCalibration, base_pose
 from vergence.geometry.projection import project_point
@@ -193,17 +193,6 @@ def foveal_errors_at(
     seen = np.array([project_point(truth, name, readings, where) for name in settings.narrow])
     errors = np.array([np.linalg.norm(offset) for offset in seen - wanted], float)
     return np.nan_to_num(errors, nan=np.inf)
-
-
-def best_pixels(settings: GazeSettings, places: Array) -> tuple[Array, Array]:
-    """Compute readings (N, r) that look at places (N, 3) [m] from the left eye, and the pixels.
-
-    The pixels (N, E, 2) are those in the narrow or only camera of each of the E eyes in use.
-    """
-    head, names = settings.calibration, settings.narrow
-    readings = gaze_angles(head, places, cameras=names)
-    pixels = [project_point(head, name, readings, places) for name in names]
-    return readings, np.stack(pixels, axis=1)
 
 
 def reachable(twin: Twin, settings: GazeSettings, places_head: Array) -> np.ndarray:
