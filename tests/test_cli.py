@@ -53,7 +53,7 @@ REFUSED = [
     ("foveate --driver a:B", "A driver needs --calibration FILE, and --seconds"),
     ("foveate --driver a:B --calibration head.json --seconds 0", "--seconds from 1 to 3600."),
     ("foveate --driver no_such:B --calibration head.json", "No driver can be loaded from no_such"),
-    ("foveate --calibration head.json", "The twin calibrates itself"),
+    ("foveate --calibration head.json", "options of a run with --driver"),
     ("track --live --serve 9090", "choose one of the two"),
     ("grasp --serve 70000", "two free ports"),
     ("reproduce --profile perfect", "ideal, noise-only, paper"),

@@ -171,7 +171,7 @@ def foveate(
             raise VergenceError("With --driver leave out --trials, and the options of the twin.")
         return _fixate(driver, calibration, seconds, options)
     if calibration is not None or seconds != 10.0:
-        raise VergenceError("The twin calibrates itself, and counts trials; name a --driver.")
+        raise VergenceError("--calibration and --seconds are options of a run with --driver.")
     from vergence.demos.foveate import foveate as run
 
     return _experiment("foveate", lambda *of: run(*of, trials=trials)[0], options, "depth.png")

@@ -49,11 +49,9 @@ def plain_ending(program: str) -> Iterator[None]:
         raise SystemExit(2) from None
     except OSError as error:
         _discard_output()
-        if error.strerror is None:  # of a driver, with words of its own
-            print(f"{program}: {error}.", file=sys.stderr)
-            raise SystemExit(2) from None
         of = error.filename or "standard output, or the folder of the command"
-        print(f"{program}: Cannot go on: {error.strerror} ({of}).", file=sys.stderr)
+        reason = f"{error.strerror} ({of})" if error.strerror else error  # of a driver
+        print(f"{program}: Cannot go on: {reason}.", file=sys.stderr)
         raise SystemExit(2) from None
     except KeyboardInterrupt as stop:
         done = " ".join(map(str, finished_files))

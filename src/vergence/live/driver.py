@@ -56,7 +56,7 @@ def open_driver(name: str) -> Driver:
         )
     make: Callable[[], Driver] | None = getattr(_module(where), attribute, None)
     if not callable(make):
-        raise VergenceError(f"{where} has no class or function {attribute}; see {name!r}.")
+        raise VergenceError(f"{where} has no class or function {attribute}.")
     try:
         driver = make()
     except (ValueError, OSError) as error:
