@@ -167,7 +167,8 @@ class UvcServoHead:
         self.limits = JointLimits(np.array(ranges), np.array(speeds), joints)
         self._zero = np.array([servo.zero for servo in order])
         self._rad = np.array([servo.sign for servo in order]) * 2 * np.pi / TICKS
-        self._images: dict[str, tuple[float, np.ndarray]] = {}
+        none: tuple[float, np.ndarray] = 0.0, np.empty(0)
+        self._images = dict.fromkeys(CAMERAS, none)
         self._given_s = dict.fromkeys(CAMERAS, self.now_s())
         self._stopped, self._error = threading.Event(), ""
         with ExitStack() as opened:
@@ -226,9 +227,8 @@ class UvcServoHead:
 
         None if positions about that time were damaged. VergenceError if a device has failed.
         """
-        given_s, last = self._given_s, (0.0, None)
-        while waiting := [n for n in cameras if self._images.get(n, last)[0] <= given_s[n]]:
-            if self.now_s() > given_s[waiting[0]] + FAILED_S:
+        while waiting := [n for n in cameras if self._images[n][0] <= self._given_s[n]]:
+            if self.now_s() > self._given_s[waiting[0]] + FAILED_S:
                 raise VergenceError(f"The camera {waiting[0]} gives no images any more.")
             time.sleep(PERIOD_S / 2)
         taken = {name: self._images[name] for name in cameras}
