@@ -278,3 +278,17 @@ def test_what_cannot_be_captured_is_refused_in_one_sentence(arguments, sentence,
     with pytest.raises(vg.VergenceError, match=re.escape(sentence)):
         parsed(["capture", "--out", str(tmp_path / "d"), *arguments])()
     assert not (tmp_path / "d").exists()
+
+
+def test_a_file_that_is_no_calibration_is_not_replaced(tmp_path):
+    (tmp_path / "notes.json").write_text("{}")
+    words = [*DRAWN, "--out", str(tmp_path / "d"), "--calibration", str(tmp_path / "notes.json")]
+    with pytest.raises(vg.VergenceError, match="is no calibration, and is not replaced"):
+        parsed(["capture", *words])()
+
+
+def test_a_long_capture_that_goes_on_asks_no_camera_that_has_shown_enough():
+    _, settings = simulated(0, GOAL_M)
+    corners = dict.fromkeys(settings.description.cameras, np.zeros((54, 2)))
+    kept = [Kept(vg.Frame(k, k, np.zeros(4), np.empty(0), {}), corners, k) for k in range(30)]
+    assert begin_capture(settings, tuple(kept)).for_camera == ""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import vergence as vg
 from vergence.cli.options import Optional, Positional, check_outputs
@@ -13,6 +13,9 @@ from vergence.cli.report import Report
 from vergence.cli.terminal import invocation, progress_bars
 from vergence.errors import VergenceError, listed
 from vergence.files import results_folder
+
+if TYPE_CHECKING:
+    from vergence.calibration.calibrate import CalibrationResult
 
 Lens = Literal[
     "auto", "none", "k1", "k1k2", "radial-tangential", "radial-tangential-k3", "rational", "fisheye"
@@ -50,31 +53,46 @@ def calibrate(
         write_calibration_report,
     )
 
-    void_out = out.parent / f"{out.stem}.void{out.suffix}"
-    check_outputs(out, void_out, json, folder=report, names=RESULTS, inputs=[dataset])
-    if out.exists():
-        try:
-            vg.load_head(out, allow_void=True)
-        except VergenceError:
-            raise VergenceError(f"{out} is no calibration, and is not replaced by one.") from None
+    check_outputs(out, void_file(out), json, folder=report, names=RESULTS, inputs=[dataset])
+    check_replaceable(out)
     with (
         progress_bars(report) as progress,
         dataset_of(dataset, progress) as data,
         results_folder(report),
     ):
         result = calibrate_dataset(data, method=method, lens=lens, progress=progress)
-        written = void_out if result.accuracy.void and out.exists() else out
-        vg.save_head(result.head, written)
+        saved = save_calibration(result, out)
         found = calibration_report(result)
         found.write_json(json)
         if report is not None:
             write_calibration_report(report, found, result, data, progress=progress)
-    files = f"Wrote {written}" + (f"; {out} is as it was." if written != out else ".")
+    files = saved
     if report is not None:
         files += f"\nTo view the images: {invocation('rerun', report / 'dataset.rrd')}"
     elif (count := sum(each.severity != "note" for each in result.findings)) > 1:
         files += f"\nTo read all {count} warnings, add --report FOLDER."
     return replace(found, files=files)
+
+
+def void_file(out: Path) -> Path:
+    """Name the file of a VOID calibration, which does not replace an earlier one."""
+    return out.parent / f"{out.stem}.void{out.suffix}"
+
+
+def check_replaceable(out: Path) -> None:
+    """Raise VergenceError if a file that a calibration would replace is something else."""
+    if out.exists():
+        try:
+            vg.load_head(out, allow_void=True)
+        except VergenceError:
+            raise VergenceError(f"{out} is no calibration, and is not replaced by one.") from None
+
+
+def save_calibration(result: CalibrationResult, out: Path) -> str:
+    """Save a calibration, a VOID one beside an earlier file; return the sentence about it."""
+    written = void_file(out) if result.accuracy.void and out.exists() else out
+    vg.save_head(result.head, written)
+    return f"Wrote {written}" + (f"; {out} is as it was." if written != out else ".")
 
 
 def self_calibrate(

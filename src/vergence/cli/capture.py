@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import vergence as vg
+from vergence.cli.calibration import check_replaceable, save_calibration, void_file
 from vergence.cli.options import (
     NO_VIEWER,
     PAPER,
@@ -62,7 +63,8 @@ def capture(
             deviation [mm].
         at_m: Distance of these points [m].
         most_views: Number of views after which the capture ends.
-        calibration: JSON file of the calibration; default: calibration.json in the folder.
+        calibration: JSON file of the calibration; default: calibration.json in the folder. A VOID
+            one does not replace an earlier file.
         options: Options of the twin.
         viewer: Options of the viewer.
     """
@@ -82,7 +84,8 @@ def capture(
     if replace(options, seed=PAPER.seed) != PAPER and not twin:
         raise VergenceError("Options of the twin are given without --twin.")
     calibration = calibration or out / "calibration.json"
-    check_outputs(calibration, inputs=[options.head])
+    check_outputs(calibration, void_file(calibration), inputs=[options.head])
+    check_replaceable(calibration)
     with viewing(viewer) as (opened, shown), _head(driver, folder, options, out) as (head, follow):
         settings = CaptureSettings(
             head.description,
@@ -121,9 +124,9 @@ def capture(
     )
     with progress_bars() as progress:
         result = calibrate(vg.load_dataset(out), progress=progress)
-    vg.save_head(result.head, calibration)
+    saved = save_calibration(result, calibration)
     again = invocation("vergence", "calibrate", out, "--out", calibration, "--report", "report")
-    files = f"Wrote {out} and {calibration}.\nTo see the images and residuals: {again}"
+    files = f"{saved} The recording is {out}.\nTo see the images and residuals: {again}"
     return replace(calibration_report(result), files=files, shown=shown)
 
 
