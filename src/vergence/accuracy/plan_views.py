@@ -81,21 +81,45 @@ def admissible_views(
     `limits_rad` (r,) are the largest readings to either side. Raises VergenceError if the board
     fits whole into the images of the eyes' main cameras at too few places.
     """
-    main = [list(head.cameras).index(name) for name in main_cameras(head)]
-    found: list[tuple[Array, Array]] = []
+    found: list[Views] = []
     for T in _boards(head, board, limits_rad, rng, 20 * places):
-        joints = rng.uniform(-limits_rad, limits_rad, (400, len(limits_rad)))
-        tried = Views(np.broadcast_to(T, (400, 4, 4)), joints, np.zeros(400, dtype=int))
-        good = joints[shows_whole_board(head, board, tried)[:, main].all(axis=1)][:gazes]
-        if len(good) == gazes:
-            found.append((np.tile(T, (gazes, 1, 1)), good))
+        views = views_at(head, board, T, limits_rad, rng, gazes=gazes, placement=len(found))
+        if len(views.placement) == gazes:
+            found.append(views)
         if len(found) == places:
-            T_lbase_target, joints = (np.concatenate(each) for each in zip(*found, strict=True))
-            return Views(T_lbase_target, joints, np.repeat(np.arange(places), gazes))
+            return joined(*found)
     size = f"{board.columns} x {board.rows} corners of {1e3 * board.square_m:g} mm"
     raise VergenceError(
         f"A board of {size} fits whole into the images of the eyes at {len(found)} of "
         f"{places} places; take a smaller board, or let the joints move farther."
+    )
+
+
+def views_at(
+    head: HeadCalibration,
+    board: Board,
+    T_lbase_target: Array,
+    limits_rad: Array,
+    rng: np.random.Generator,
+    *,
+    gazes: int,
+    placement: int,
+) -> Views:
+    """Draw at most `gazes` admissible directions of gaze at a board (4, 4), one placement."""
+    joints = rng.uniform(-limits_rad, limits_rad, (400, len(limits_rad)))
+    number = np.full(400, placement)
+    tried = Views(np.broadcast_to(T_lbase_target, (400, 4, 4)), joints, number)
+    main = [list(head.cameras).index(name) for name in main_cameras(head)]
+    shown = shows_whole_board(head, board, tried)[:, main].all(axis=1)
+    return tried.take(np.flatnonzero(shown)[:gazes])
+
+
+def joined(*parts: Views) -> Views:
+    """Join views, in their order."""
+    return Views(
+        np.concatenate([part.T_lbase_target for part in parts]),
+        np.concatenate([part.joints for part in parts]),
+        np.concatenate([part.placement for part in parts]),
     )
 
 

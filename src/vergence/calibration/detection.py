@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -13,6 +14,7 @@ from vergence.arrays import Array
 from vergence.calibration.observations import NO_CORNERS, UNREADABLE_IMAGE, Observations
 from vergence.calibration.other_boards import ANOTHER, mirrored, other_board, why_not_found
 from vergence.data.dataset import Dataset, runs
+from vergence.data.description import Description
 from vergence.data.images import UNREADABLE
 from vergence.data.timing import Timing
 from vergence.errors import VergenceError, counted
@@ -91,30 +93,57 @@ def detect_target(dataset: Dataset, *, progress: Progress = silent) -> Observati
     order = {job: k for k, job in enumerate(jobs)}
     found.sort(key=lambda each: order[each.camera, each.row])
     _check_board(dataset, found, all_images=True)
-    board, cameras = dataset.board, dataset.description.cameras
+    board = dataset.board
     shape = (len(dataset), board.columns * board.rows, 2)
     corners = {name: np.full(shape, np.nan) for name in dataset.files}
     for each in found:
         if each.corners is not None:
             corners[each.camera][each.row] = each.corners
-    return Observations(
-        board=board,
+    observations = described_observations(
+        dataset.description,
+        board,
         placement=dataset.placement,
         eye_angles=dataset.eye_angles,
         corners=corners,
-        sizes={name: (camera.width, camera.height) for name, camera in cameras.items()},
-        eyes={name: camera.eye for name, camera in cameras.items()},
-        kinematics=dataset.description.head_kinematics,
         timing=timing,
+    )
+    return replace(
+        observations,
         T_base_eye=dataset.T_base_eye,
         lines=np.asarray(dataset.lines),
+        findings=(*dataset.findings, *_findings(dataset, found)),
+    )
+
+
+def described_observations(
+    description: Description,
+    board: Board,
+    *,
+    placement: np.ndarray,
+    eye_angles: Array,
+    corners: Mapping[str, Array],
+    timing: Timing | None,
+) -> Observations:
+    """Make observations by cameras of a description, with what it states of these and the joints.
+
+    Arrays are as in `Observations`, whose errors are raised.
+    """
+    cameras = {name: description.cameras[name] for name in corners}
+    return Observations(
+        board=board,
+        placement=placement,
+        eye_angles=eye_angles,
+        corners=corners,
+        sizes={name: (camera.width, camera.height) for name, camera in cameras.items()},
+        eyes={name: camera.eye for name, camera in cameras.items()},
+        kinematics=description.head_kinematics,
+        timing=timing,
         systematic_px=SYSTEMATIC_PX,
         known_lenses={
             name: (camera.intrinsics, camera.intrinsics_std_percent)
             for name, camera in cameras.items()
             if camera.intrinsics is not None and camera.intrinsics_std_percent is not None
         },
-        findings=(*dataset.findings, *_findings(dataset, found)),
     )
 
 

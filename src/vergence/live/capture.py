@@ -172,10 +172,10 @@ class CaptureState:
 
 def begin_capture(settings: CaptureSettings, kept: tuple[Kept, ...] = ()) -> CaptureState:
     """Begin, or go on after views that were kept before."""
-    state = CaptureState(assumed_head(settings.description))
+    state = CaptureState(assumed_head(settings.description), kept=kept)
     for _ in range(1 + sum(not view.moving for view in kept)):
         state = _ask(settings, state, np.inf)
-    return replace(state, kept=kept)
+    return state
 
 
 def _ask(settings: CaptureSettings, state: CaptureState, now_s: float) -> CaptureState:
@@ -346,8 +346,10 @@ def _step_sweep(
 ) -> tuple[CaptureState, tuple[DatasetRow, ...]]:
     """Collect the frames of a sweep; at its end the longest run of them is kept if it suffices."""
     if frame.time_s - sweep.begin_s < SWEEP_S:
-        last_s = sweep.rows[-1][0].frame.time_s if sweep.rows else -np.inf
-        if state.watched.corners and frame.time_s > last_s + SWEEP_STEP_S:
+        last = sweep.rows[-1][0].frame if sweep.rows else None
+        late = last is None or frame.time_s > last.time_s + SWEEP_STEP_S
+        late = late and (last is None or frame.joint_time_s > last.joint_time_s)
+        if state.watched.corners and late:
             # Copies, since a driver may write its next images into the same arrays.
             copied = replace(frame, images={n: np.array(im) for n, im in frame.images.items()})
             place = state.kept[-1].placement
@@ -374,7 +376,7 @@ def with_estimate(settings: CaptureSettings, state: CaptureState, found: Estimat
         outlook = begin_outlook(found.candidates, settings.limits_rad)
         outlook = _with_views(settings, state, outlook, state.kept[found.rows :])
         state = replace(state, outlook=outlook)
-        if not state.for_camera:
+        if state.for_camera not in _missing(settings, state):
             state = _ask(settings, state, state.watched.time_s)
         now_m, later_m = found.accuracy_m
         if now_m <= settings.goal_m and not found.missing:

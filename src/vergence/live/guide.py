@@ -13,7 +13,13 @@ import numpy as np
 
 from vergence.accuracy.plan import Candidates, design_costs, information_of
 from vergence.accuracy.plan_information import largest_std, total_information
-from vergence.accuracy.plan_views import Views, admissible_views, shows_whole_board
+from vergence.accuracy.plan_views import (
+    Views,
+    admissible_views,
+    joined,
+    shows_whole_board,
+    views_at,
+)
 from vergence.arrays import Array
 from vergence.data.description import DatasetCamera, Description
 from vergence.errors import VergenceError
@@ -27,7 +33,6 @@ from vergence.geometry.head import (
     camera_pose_in_base,
     lenses_of,
     main_camera,
-    main_cameras,
 )
 from vergence.geometry.projection import project_point
 from vergence.geometry.se3 import angle, inverse, pose, transform
@@ -39,7 +44,7 @@ TURNED_PLACES = 8
 """Places of the board at rest that are tried; that where the eyes can turn farthest is shown."""
 LONGER_FOCAL = (6.0, 4.0, 2.5)
 """Assumed focal lengths of an eye's other cameras, in that of its first, tried in turn: far boards
-first, which surely fit into the image. This project's narrow lenses have 3 to 6."""
+first, which fit into more images. The lenses of this project's head have 3 to 4.3."""
 BASELINE_M = 0.1
 """Assumed distance of the eyes [m]; heads have 0.06 to 0.3."""
 STRAIGHT_VIEWS, TURNED_VIEWS, OTHER_VIEWS = 8, 10, 2
@@ -196,36 +201,26 @@ def with_view(outlook: Outlook, T_lbase_target: Array, joints: Array, placement:
     if not shows_whole_board(head, board, view).any():
         return outlook
     if not len(outlook.taken.placement) or outlook.taken.placement[-1] != placement:
-        rng = np.random.default_rng(placement)
-        tried = rng.uniform(-1, 1, (400, len(joints))) * outlook.limits_rad
-        there = Views(np.tile(T_lbase_target, (400, 1, 1)), tried, np.full(400, placement))
-        main = [list(head.cameras).index(name) for name in main_cameras(head)]
-        seen = shows_whole_board(head, board, there)[:, main].all(axis=1)
-        nearby = there.take(np.flatnonzero(seen)[:GAZES])
+        rng, limits_rad = np.random.default_rng(placement), outlook.limits_rad
+        nearby = views_at(
+            head, board, T_lbase_target, limits_rad, rng, gazes=GAZES, placement=placement
+        )
     else:
         nearby = outlook.nearby
     near_rad = np.abs(nearby.joints - joints).max(axis=1, initial=0.0)
     nearby = nearby.take(np.flatnonzero(near_rad > SAME_RAD))  # each direction once
-    N = information_of(head, board, _joined(view, nearby), scale)
+    N = information_of(head, board, joined(view, nearby), scale)
     return replace(
         outlook,
-        taken=_joined(outlook.taken, view),
+        taken=joined(outlook.taken, view),
         information=np.concatenate([outlook.information, N[:1]]),
         nearby=nearby,
         of_nearby=N[1:],
     )
 
 
-def _joined(*parts: Views) -> Views:
-    return Views(
-        np.concatenate([part.T_lbase_target for part in parts]),
-        np.concatenate([part.joints for part in parts]),
-        np.concatenate([part.placement for part in parts]),
-    )
-
-
 def without_view(outlook: Outlook, view: View) -> Outlook:
-    """Remove the place of a view that was asked for in vain from the candidates."""
+    """Remove a place that was asked for in vain, and the directions of gaze at the present one."""
     candidates, views = outlook.candidates, outlook.candidates.views
     left = (views.T_lbase_target != view.T_lbase_target).any(axis=(1, 2))
     if not left.any():
@@ -256,7 +251,7 @@ def next_view(outlook: Outlook) -> tuple[View, float]:
     """
     candidates, taken, nearby = outlook.candidates, outlook.taken, outlook.nearby
     elsewhere = candidates.views.placement - candidates.views.placement.max() - 1  # below zero
-    views = _joined(taken, nearby, replace(candidates.views, placement=elsewhere))
+    views = joined(taken, nearby, replace(candidates.views, placement=elsewhere))
     N = np.concatenate([outlook.information, outlook.of_nearby, candidates.information])
     place = np.unique(views.placement, return_inverse=True)[1]
     first, far = len(taken.placement), len(taken.placement) + len(nearby.placement)

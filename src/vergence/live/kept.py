@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vergence.arrays import Array
-from vergence.calibration.detection import SYSTEMATIC_PX, detect_target
+from vergence.calibration.detection import described_observations, detect_target
 from vergence.calibration.observations import Observations
 from vergence.data.dataset import Dataset, Frame
 from vergence.data.description import Description
@@ -51,30 +51,20 @@ def observations(
     """Collect the kept views, of the cameras that saw the board at rest in some of them."""
     nothing = np.full((board.columns * board.rows, 2), np.nan)
     at_rest = [view for view in kept if not view.moving]
-    cameras = {
-        name: stated
-        for name, stated in description.cameras.items()
+    corners = {
+        name: np.array([view.corners.get(name, nothing) for view in kept])
+        for name in description.cameras
         if sum(name in view.corners for view in at_rest) >= least_views
     }
     timing = None
     if len(at_rest) < len(kept):
         run = np.array([view.moving for view in kept], int)  # one sweep is all that moves
         timing = Timing(np.array([view.frame.joint_time_s for view in kept]), run)
-    return Observations(
-        board=board,
+    return described_observations(
+        description,
+        board,
         placement=np.array([view.placement for view in kept]),
         eye_angles=np.array([view.frame.eye_angles for view in kept]),
-        corners={
-            name: np.array([view.corners.get(name, nothing) for view in kept]) for name in cameras
-        },
-        sizes={name: (stated.width, stated.height) for name, stated in cameras.items()},
-        eyes={name: stated.eye for name, stated in cameras.items()},
-        kinematics=description.head_kinematics,
+        corners=corners,
         timing=timing,
-        systematic_px=SYSTEMATIC_PX,
-        known_lenses={
-            name: (stated.intrinsics, stated.intrinsics_std_percent)
-            for name, stated in cameras.items()
-            if stated.intrinsics is not None and stated.intrinsics_std_percent is not None
-        },
     )

@@ -37,10 +37,8 @@ def next_step(settings: CaptureSettings, state: CaptureState) -> str:
         return "leave the board where it is; the eyes move to and fro"
     if state.to_keep:
         return "hold still"
-    told, wanted = (
-        instruction(state.head, state.asked[0], state.T_lbase_board),
-        state.asked[0].joints,
-    )
+    wanted = state.asked[0].joints
+    told = instruction(state.head, state.asked[0], state.T_lbase_board)
     if settings.limits is not None or len(state.watched.readings) < len(wanted):
         return told
     turns = np.degrees(wanted - state.watched.readings[-len(wanted) :]) if len(wanted) else wanted
