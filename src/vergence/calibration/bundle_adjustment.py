@@ -271,7 +271,7 @@ def _levels(problem: BundleProblem, noise: NoiseModel, joint_std: Array | None) 
     for name in every:
         at = np.array(problem.readings.level) == name
         latent = tuple(np.flatnonzero(postures.tied[at].any(axis=0)).tolist())
-        turned = 1.0  # angle of a joint by one radian of its reading: see `factors`
+        turned = 1.0  # angle of a joint by one radian of its reading
         if postures.T_base_eye_read is None:
             kinematics = problem.start["head"].kinematics
             turned = float(kinematics.gear_ratios[postures.columns[0, list(latent)]].max())

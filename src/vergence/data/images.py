@@ -24,7 +24,8 @@ def decode_image(content: bytes) -> np.ndarray | None:
     """Decode an image file to (H, W, 3), RGB, or (H, W), of uint8 or uint16; None if it is damaged.
 
     Pixels stay as they are stored, which is how the sensor was read out: an orientation by EXIF
-    would turn their coordinates. Images of more than MAX_IMAGE_AREA_PX count as damaged.
+    would turn their coordinates. Only TIFFs are turned, by their own tag, as decoders do. Images of
+    more than MAX_IMAGE_AREA_PX count as damaged.
     """
     flags = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
     try:  # readers raise errors of many kinds for damaged files
