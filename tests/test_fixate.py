@@ -15,6 +15,7 @@ import pytest
 from drawn_head import DrawnHead, four_cameras, point_at
 from postures import LIMITS, NECK, NECK_JOINTS
 from robot_on_a_bus import RobotOnABus, robot_on_a_bus
+from rrd import read_series
 from vergence import cli
 from vergence.data.dataset import Frame
 from vergence.data.description import DatasetCamera, DatasetJoint, Description
@@ -129,6 +130,8 @@ def test_a_robot_on_a_bus_fixates_by_the_command_line(robot, tmp_path, monkeypat
     monkeypatch.setattr("vergence.viewer.live.stay", lambda viewer: None)  # until Ctrl-C
     vergence(monkeypatch, "foveate", *words, "--out", "out", "--serve", "0")
     found = json.loads(Path("out/foveate.json").read_text())
+    angles = read_series(Path("out/foveate.rrd"), "/eyes/left_pan")[1]
+    assert abs(angles[-1] - angles[0]) > 0.1
     assert max(found["final_px"].values()) < 2
     assert found["settled_s"] < 2
     assert json.loads(capsys.readouterr().out)["found_s"] > 2

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from contextlib import closing, nullcontext
+from contextlib import ExitStack, closing, nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -189,14 +189,16 @@ def _fixate(
 
     if calibration is None or not 1 <= seconds <= 3600:
         raise VergenceError("A driver needs --calibration FILE, and --seconds from 1 to 3600.")
-    check_outputs(options.json, folder=options.out, names=["foveate.json"], inputs=[calibration])
+    out, results = options.out, ("foveate.json", "foveate.rrd")
+    check_outputs(options.json, folder=out, names=results, inputs=[calibration])
+    summary, recording = (out and out / result for result in results)
     head = vg.load_head(calibration)
     layout = gaze_blueprint("foveate", head, reach_m=1.5, speed=1.0, hand=False)
     with (
         viewing(options) as (viewer, shown),
         closing(open_driver(name)) as driver,
-        open_feed("foveate", layout, head, viewer=viewer) as feed,
-        progress_bars() as progress,
+        open_feed("foveate", layout, head, file=recording, viewer=viewer) as feed,
+        progress_bars(out) as progress,
     ):
         found = fixate(
             driver,
@@ -206,9 +208,8 @@ def _fixate(
             geometry=options.geometry,
             progress=progress,
         )
-    report = Report("foveate", (as_json(found, digits=4).rstrip(),), found, shown=shown)
-    report.write_json(options.json)
-    report.write_json(options.out and options.out / "foveate.json")
+    report = _reported("foveate", found, options, shown)
+    report.write_json(summary)
     return report
 
 
@@ -320,6 +321,11 @@ def _experiment(
     )
     with viewing(options) as (viewer, shown), progress_bars(options.out) as progress:
         found = run(replace(settings, viewer=viewer), progress)
+    return _reported(name, found, options, shown)
+
+
+def _reported(name: str, found: Any, options: ExperimentOptions, shown: ExitStack) -> Report:
+    """Report a summary, write it to the file that was asked for, and name the recording."""
     report = Report(name, (as_json(found, digits=4).rstrip(),), found, shown=shown)
     report.write_json(options.json)
     if options.out is not None:
