@@ -288,6 +288,14 @@ def test_good_readings_are_never_refused(seed: int):
     check_readings_and_images(seen, poses_by(truth, seen))
 
 
+def test_an_eye_without_readings_is_named():
+    _, seen = recorded()
+    angles = seen.eye_angles.copy()
+    angles[:, 0] = np.nan
+    with pytest.raises(VergenceError, match=r"left eye sees a board in view \d+, but its joint"):
+        calibrate(replace(seen, eye_angles=angles), lens=LENS)
+
+
 def test_eyes_that_moved_nearly_alike_are_told_apart():
     """By 0.6 degrees apart, with 0.2 of noise in each reading."""
     swap = columns(np.eye(4)[[2, 3, 0, 1]])

@@ -264,15 +264,15 @@ def _turn_fewest(cameras: list[_Camera], S: Array) -> None:
     Of several it is the one in which boards are held the same way up as in most images.
     """
     for p in np.unique(np.concatenate([camera.placement for camera in cameras])):
-        cost = np.zeros(len(S))
-        for camera in cameras:
+        cost, seeing = np.zeros(len(S)), [camera for camera in cameras if p in camera.placement]
+        for camera in seeing:
             R = camera.R_cam_target[camera.placement == p]
             up = camera.R_cam_target[:, :, 0].mean(axis=0)
             for k in range(len(S)):
                 turns = (camera.turns[camera.placement == p] + k) % len(S)
                 upright = ((R @ S[turns])[:, :, 0] @ up).sum() / len(camera.view)
                 cost[k] += np.count_nonzero(turns) - upright / 2
-        for camera in cameras:
+        for camera in seeing:
             here = camera.placement == p
             camera.turns[here] = (camera.turns[here] + int(cost.argmin())) % len(S)
 
